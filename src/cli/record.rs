@@ -37,8 +37,8 @@ const QUERY: Duration = Duration::from_millis(300);
 #[command(after_help = "\
 Payloads are kept byte for byte. The log time of a message is its arrival time here, the publish time
 is its capture time. Until Ctrl-C or SIGTERM the recording is at FILE.part; if this program dies, that
-file is readable up to its last second. Recording stops before the disk is full. Each ten seconds the
-recorder publishes the free space of its disk; that is not recorded.
+file is readable up to its last second. Recording stops before the disk is full. Every ten seconds the
+recorder publishes the free space of its disk. These messages are not recorded.
 
 `bundlemocap take start NAME` begins NAME.mcap beside FILE, with a journal of its own, and `take stop`
 ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. If FILE is a folder, or ends with /, only
@@ -144,7 +144,8 @@ impl Answers {
 
     /// Publishes how many bytes are free.
     fn send_free_space(&self, free_bytes: u64) {
-        self.put(TakeAnswer { free_bytes, ..TakeAnswer::default() });
+        // 0 would be an answer.
+        self.put(TakeAnswer { free_bytes: free_bytes.max(1), ..TakeAnswer::default() });
     }
 
     fn put(&self, answer: TakeAnswer) {
@@ -278,10 +279,21 @@ mod tests {
 
     /// Records what is on the bus to `path`.
     fn recorded(bus: &Memory, inbox: Inbox, path: &Path) -> Recorded {
+        recorded_until(bus, inbox, path, &set(), || None)
+    }
+
+    /// The same until a stop request, with so much `room` on the disk.
+    fn recorded_until(
+        bus: &Memory,
+        inbox: Inbox,
+        path: &Path,
+        stop: &Stop,
+        room: impl Fn() -> Option<u64>,
+    ) -> Recorded {
         let (folder, topics) = (path.parent().unwrap(), Topics::default());
         let answers = Answers::open(bus, &topics).unwrap();
         let recorder = Recorder::start(Some(path), folder, topics, Provenance::default()).unwrap();
-        record(inbox, recorder, &answers, &set(), || None, |_| {}).unwrap().0
+        record(inbox, recorder, &answers, stop, room, |_| {}).unwrap().0
     }
 
     #[test]
@@ -330,15 +342,12 @@ mod tests {
         let (bus, topics) = (Memory::new(), Topics::default());
         let published = Inbox::open(&bus, &topics.take_answers()).unwrap();
         let inbox = Inbox::open(&bus, &topics.all()).unwrap();
-        let answers = Answers::open(&bus, &topics).unwrap();
-        let recorder =
-            Recorder::start(Some(&path), folder.path(), topics, Provenance::default()).unwrap();
         let stop = Stop::default();
         let room = || {
             stop.stop();
             Some(97_000_000_000)
         };
-        let (recorded, _) = record(inbox, recorder, &answers, &stop, room, |_| {}).unwrap();
+        let recorded = recorded_until(&bus, inbox, &path, &stop, room);
         let sample = published.next(Duration::ZERO).unwrap().sample;
         let answer: TakeAnswer = decode(&sample.payload).unwrap();
         let role = "recorder".into();

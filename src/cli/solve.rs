@@ -31,7 +31,7 @@ use crate::offline::{
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Writes to the folder DIR:
-  poses.mcap         skeleton, rig, poses, keyframes and events
+  poses.mcap         skeleton, rig, poses, keyframes, events, and the state of the cameras
   poses.bvh          poses in centimetres, y up, from the recording's first frame on; frames before
                      the performer is found repeat the first pose, gaps repeat the previous pose
   poses.states.csv   first_frame,last_frame,state: runs of BVH frames, counted from 0, that are
@@ -124,8 +124,8 @@ pub(super) struct Arguments {
     /// The optimiser of the windows.
     #[arg(long, value_enum)]
     optimiser: Option<OptimiserName>,
-    /// Add messages for the 3D view of Foxglove and Lichtblick to poses.mcap; it is then about twice as
-    /// large.
+    /// Add messages for the 3D view of Foxglove and Lichtblick to poses.mcap. The file is then about
+    /// twice as large.
     #[cfg(feature = "view")]
     #[arg(long)]
     foxglove: bool,

@@ -40,37 +40,31 @@ pub fn estimate_body(
     observer: &mut dyn Observer,
 ) -> Result<(Skeleton, Vec<TakeBody>), Error> {
     let options = Options { body: None, performers: Performers::default(), ..options.clone() };
-    let (mut takes, mut estimates) = (Vec::new(), Vec::new());
-    for (index, recording) in recordings.iter_mut().enumerate() {
+    let mut takes = Vec::new();
+    // Of takes that are long enough: their number, the length of their limbs (millimetres), and what they tell.
+    let mut estimates = Vec::new();
+    for recording in recordings.iter_mut() {
         let mut rig = recording.chosen(&options.cameras, &[])?;
         let period = recording.frame_period(&rig)?;
         let pass = FirstPass::run(recording, &options, &mut rig, period, &mut [], observer)?;
         pass.lead(recording)?;
         let windows = pass.estimate.windows();
         let alone = shared_body(&[&pass.estimate]).filter(|_| windows > 0);
-        takes.push(TakeBody {
-            recording: recording.path().to_owned(),
-            windows,
-            alone_mm: alone.map(|body| segment_lengths(&body).map(|length| 1e3 * length)),
-            may_be_another_person: false,
-        });
-        estimates.extend((windows > 0).then_some((index, pass.estimate)));
+        let alone_mm = alone.map(|body| segment_lengths(&body).map(|length| 1e3 * length));
+        let limbs = alone_mm.map(|lengths| lengths.iter().sum::<f64>());
+        estimates.extend(limbs.map(|limbs| (takes.len(), limbs, pass.estimate)));
+        let recording = recording.path().to_owned();
+        takes.push(TakeBody { recording, windows, alone_mm, may_be_another_person: false });
     }
-    let sizes: Vec<Option<f64>> =
-        takes.iter().map(|take| Some(take.alone_mm?.iter().sum())).collect();
-    for (take, size) in
-        takes.iter_mut().zip(&sizes).filter_map(|(take, size)| Some((take, (*size)?)))
-    {
-        let differs = |other: &&f64| size.max(**other) / size.min(**other) > 1.0 + OTHER_SIZE;
-        let differing = sizes.iter().flatten().filter(differs).count();
-        take.may_be_another_person = 2 * differing > estimates.len() - 1;
+    for (take, limbs, _) in &estimates {
+        let differs =
+            |(_, other, _): &&(_, f64, _)| limbs.max(*other) / limbs.min(*other) > 1.0 + OTHER_SIZE;
+        let differing = estimates.iter().filter(differs).count();
+        takes[*take].may_be_another_person = 2 * differing > estimates.len() - 1;
     }
-    let shared = |is_used: &dyn Fn(usize) -> bool| {
-        let used = estimates.iter().filter(|(take, _)| is_used(*take));
-        shared_body(&used.map(|(_, estimate)| &**estimate).collect::<Vec<_>>())
-    };
     let agrees = |take: usize| !takes[take].may_be_another_person;
-    let agreeing = estimates.iter().filter(|(take, _)| agrees(*take)).count();
-    let body = if agreeing > 1 { shared(&agrees) } else { shared(&|_| true) };
-    Ok((body.ok_or(Error::ShortTakes)?, takes))
+    let are_agreed = estimates.iter().filter(|(take, ..)| agrees(*take)).count() > 1;
+    let used = estimates.iter().filter(|(take, ..)| !are_agreed || agrees(*take));
+    let used: Vec<_> = used.map(|(.., estimate)| &**estimate).collect();
+    Ok((shared_body(&used).ok_or(Error::ShortTakes)?, takes))
 }

@@ -50,7 +50,7 @@ pub struct Options {
     pub no_sync: bool,
     /// The timecode of the house, for the poses of poses.mcap.
     pub timecode: Option<House>,
-    /// Writes for other programs beside our messages in poses.mcap.
+    /// Adds messages for other programs, such as Foxglove, to poses.mcap.
     pub companion: Option<NewCompanion>,
     /// All settings as TOML, for the metadata of poses.mcap; `None`: those of `config`.
     pub config_toml: Option<String>,

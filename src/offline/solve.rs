@@ -62,12 +62,13 @@ pub fn solve_group(
     let names = names(options, count);
     let judged =
         Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
-    let judge = || Evidence::new(Arc::new(judged.clone()), options.config, period);
-    let check = evidence.map(|evidence| evidence.check(&judged));
-    let evidence = check.is_none().then(judge);
+    // Without a pass before, the evidence is gathered in this one.
+    let mut check = evidence
+        .map(|evidence| evidence.check(&judged))
+        .ok_or_else(|| Evidence::new(Arc::new(judged.clone()), options.config, period));
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
     let outputs = folder.map(|folder| {
-        Outputs::create(folder, &all, options, (&rig, check.as_ref()), &decoder, &names)
+        Outputs::create(folder, &all, options, (&rig, check.as_ref().ok()), &decoder, &names)
     });
     let mut outputs = outputs.transpose()?;
     let solver = Solver::new(decoder, options.config);
@@ -95,10 +96,17 @@ pub fn solve_group(
     let file = outputs.as_mut().map(|outputs| &mut outputs.file);
     let tracking = (options.performers.limit() > 1).then(Tracking::default);
     let driver = Driver::new(stage, solver);
-    let mut run = Run { driver, collected, tracking, file, evidence, solved: rig.cameras.len() };
+    let mut run = Run {
+        driver,
+        collected,
+        tracking,
+        file,
+        evidence: check.as_mut().err(),
+        solved: rig.cameras.len(),
+    };
     let report = run.stream(recording, &rig, &held_out, observer)?;
-    let Run { driver, mut collected, tracking, evidence, .. } = run;
-    let check = check.unwrap_or_else(|| evidence.unwrap_or_else(judge).check(&judged));
+    let Run { driver, mut collected, tracking, .. } = run;
+    let check = check.unwrap_or_else(|evidence| evidence.check(&judged));
     let found = |performer: usize, one: &Collected| {
         driver.skeleton(performer).filter(|_| one.poses.found_somebody())
     };
@@ -260,7 +268,7 @@ struct Run<'reference, 'file> {
     tracking: Option<Tracking>,
     file: Option<&'file mut PoseFile>,
     /// Gathered here if there was no pass before.
-    evidence: Option<Evidence>,
+    evidence: Option<&'file mut Evidence>,
     /// Number of the cameras that are solved; the held-out ones follow.
     solved: usize,
 }

@@ -26,7 +26,7 @@ pub struct Overview {
     pub performers: BTreeMap<String, Vec<Run>>,
     /// Events, in the order of the file.
     pub events: Vec<OverviewEvent>,
-    /// The performer or node whose statuses are about the cameras.
+    /// The performer or node whose statuses judge the cameras: of the first file that has any.
     pub node: Option<String>,
     /// For the charts: what the nodes said of themselves, at most 600.
     pub statuses: Vec<OverviewStatus>,
@@ -59,6 +59,8 @@ pub struct OverviewEvent {
     pub camera: Option<String>,
     /// The performer, if it concerns one.
     pub actor: Option<String>,
+    /// Run of the node, as text: more digits than JSON's numbers.
+    pub run: String,
     pub count: u64,
     pub detail: String,
 }
@@ -78,15 +80,16 @@ const MOST: usize = 600;
 /// A pose, for runs: capture time and state.
 type Stamp = (Timestamp, TrackingState);
 
-/// Of a performer or a node.
+/// Of a performer.
 #[derive(Default)]
-struct Actor {
+struct Performer {
     runs: Vec<[Stamp; 2]>,
     /// Flexions of the joints [`BENT`], degrees.
     angles: Vec<(Timestamp, [f32; BENT.len()])>,
-    /// Statuses with cameras.
-    statuses: Vec<(Timestamp, Charted)>,
 }
+
+/// Statuses with cameras.
+type Statuses = Vec<(Timestamp, Charted)>;
 
 /// What the charts show of a status.
 struct Charted {
@@ -99,7 +102,11 @@ struct Charted {
 /// What was read so far.
 #[derive(Default)]
 pub(super) struct Gathered {
-    actors: BTreeMap<String, Actor>,
+    performers: BTreeMap<String, Performer>,
+    /// Of the file that is being read, by whose they are.
+    statuses: BTreeMap<String, Statuses>,
+    /// Number of the first file with statuses, the node there, and its statuses.
+    node: Option<(usize, String, Statuses)>,
     /// Events, each with its performer, if it concerns one.
     events: Vec<(Option<String>, Event)>,
     cameras: BTreeMap<String, u64>,
@@ -117,7 +124,7 @@ impl Gathered {
         number: usize,
         mut progress: impl FnMut(),
     ) -> Result<([Nanos; 2], BTreeMap<String, String>), RecordError> {
-        let (earlier, events) = (std::mem::take(&mut self.actors), self.events.len());
+        let (earlier, events) = (std::mem::take(&mut self.performers), self.events.len());
         let mut times = Vec::new();
         for entry in reader.by_ref() {
             let Entry { topic, log_time, message } = entry?;
@@ -126,21 +133,41 @@ impl Gathered {
         }
         let delays = self.add_times(times);
         self.damage.extend(reader.report().losses());
+        Ok((delays, self.end_file(number, earlier, events)))
+    }
+
+    /// After the `number`th file: `earlier` performers are of the files before, and so many events. Returns the new
+    /// names of performers.
+    fn end_file(
+        &mut self,
+        number: usize,
+        earlier: BTreeMap<String, Performer>,
+        events: usize,
+    ) -> BTreeMap<String, String> {
+        let own = std::mem::replace(&mut self.performers, earlier);
+        let mut statuses = std::mem::take(&mut self.statuses);
+        // With several performers each has statuses, too; the node has no poses then.
+        let is_node = |name: &&String| !own.contains_key(*name);
+        let node = statuses.keys().find(is_node).or(statuses.keys().next()).cloned();
         let mut renamed = BTreeMap::new();
-        for (name, actor) in std::mem::replace(&mut self.actors, earlier) {
-            let new = match self.actors.contains_key(&name) {
+        for (name, performer) in own {
+            let new = match self.performers.contains_key(&name) {
                 true => format!("{name} ({number})"),
                 false => name.clone(),
             };
-            self.actors.insert(new.clone(), actor);
+            self.performers.insert(new.clone(), performer);
             renamed.insert(name, new);
+        }
+        if let Some(name) = node.filter(|_| self.node.is_none()) {
+            let of_node = statuses.remove(&name).unwrap_or_default();
+            self.node = Some((number, renamed.get(&name).unwrap_or(&name).clone(), of_node));
         }
         for actor in self.events[events..].iter_mut().filter_map(|(actor, _)| actor.as_mut()) {
             if let Some(new) = renamed.get(actor) {
                 actor.clone_from(new);
             }
         }
-        Ok((delays, renamed))
+        renamed
     }
 
     /// Adds capture times, each with the log time minus it. Returns the smallest and the largest such delay;
@@ -169,9 +196,9 @@ impl Gathered {
             Message::Pose(pose) if !pose.provisional => {
                 let angles = angles(&pose);
                 let pose = pose.to_core().ok()?;
-                let actor = self.actors.entry(Topic::actor(topic)).or_default();
-                extend(&mut actor.runs, (pose.capture, pose.state));
-                actor.angles.extend(angles.map(|angles| (pose.capture, angles)));
+                let performer = self.performers.entry(Topic::actor(topic)).or_default();
+                extend(&mut performer.runs, (pose.capture, pose.state));
+                performer.angles.extend(angles.map(|angles| (pose.capture, angles)));
                 Some(pose.capture)
             }
             Message::Keypoints(frame) => {
@@ -186,12 +213,17 @@ impl Gathered {
             }
             Message::Status(status) if !status.cameras.is_empty() => {
                 let at = Timestamp::from_ns(status.capture_time_ns);
-                let actor = self.actors.entry(Topic::actor(topic)).or_default();
-                actor.statuses.push((at, Charted::of(*status)));
+                let of_one = self.statuses.entry(Topic::actor(topic)).or_default();
+                of_one.push((at, Charted::of(*status)));
                 None
             }
             _ => None,
         }
+    }
+
+    /// Number of the file whose statuses judge the cameras.
+    pub(super) fn judged(&self) -> Option<usize> {
+        self.node.as_ref().map(|(number, ..)| *number)
     }
 
     pub(super) fn finish(self) -> Overview {
@@ -202,29 +234,26 @@ impl Gathered {
             to: since(last.0),
             state: first.1.name(),
         };
-        // With several performers each has statuses, too; the node has no poses then.
-        let with_statuses = || self.actors.iter().filter(|(_, actor)| !actor.statuses.is_empty());
-        let node = with_statuses().find(|(_, actor)| actor.runs.is_empty());
-        let node = node.or_else(|| with_statuses().next());
         let status = |(at, charted): &(Timestamp, Charted)| OverviewStatus {
             seconds: since(*at),
             status: charted.json(),
         };
-        let statuses = node.map(|(_, actor)| thin(&actor.statuses).map(status).collect());
-        let node = node.map(|(name, _)| name.clone());
-        let performers = self.actors.into_iter().filter(|(_, actor)| !actor.runs.is_empty());
+        let (node, statuses) = self.node.map_or_else(Default::default, |(_, name, statuses)| {
+            (Some(name), thin(&statuses).map(status).collect())
+        });
         let of_time =
             |(at, [a, b, c, d]): &(Timestamp, [f32; 4])| [since(*at) as f32, *a, *b, *c, *d];
         let (mut runs, mut angles) = (BTreeMap::new(), BTreeMap::new());
-        for (name, actor) in performers {
-            angles.insert(name.clone(), thin(&actor.angles).map(of_time).collect());
-            runs.insert(name, actor.runs.into_iter().map(run).collect());
+        for (name, performer) in self.performers {
+            angles.insert(name.clone(), thin(&performer.angles).map(of_time).collect());
+            runs.insert(name, performer.runs.into_iter().map(run).collect());
         }
         let event = |(actor, event): (Option<String>, Event)| OverviewEvent {
             at: since(Timestamp::from_ns(event.capture_time_ns)),
             kind: event.kind,
             camera: event.camera,
             actor,
+            run: event.run_id.to_string(),
             count: event.count,
             detail: event.detail,
         };
@@ -232,7 +261,7 @@ impl Gathered {
             start_ns: start.ns().to_string(),
             seconds: since(end),
             performers: runs,
-            statuses: statuses.unwrap_or_default(),
+            statuses,
             node,
             angles,
             events: self.events.into_iter().map(event).collect(),
@@ -307,7 +336,21 @@ mod tests {
             }
         }
         all.span = Some([at(0), at(1999)]);
+        all.end_file(1, BTreeMap::new(), 0);
+        // A second file: its performer has the same name, and its statuses do not count.
+        let pose = StampedPose::new(at(0), body::Pose::rest(), TrackingState::Tracking);
+        let earlier = std::mem::take(&mut all.performers);
+        all.add(
+            &of("p1").pose(),
+            Message::Pose(Pose::from_core(&pose, &Skeleton::default(), None)),
+        );
+        let camera = CameraCounters { residual_px: 99.0, ..CameraCounters::default() };
+        let status = Status { cameras: vec![camera], ..Status::default() };
+        all.add(&of("node").status(), Message::Status(Box::new(status)));
+        assert_eq!(all.end_file(2, earlier, 0)["p1"], "p1 (2)");
+        assert_eq!(all.judged(), Some(1));
         let overview = all.finish();
+        assert!(overview.performers.keys().eq(["p1", "p1 (2)"]));
         assert_eq!(overview.node.as_deref(), Some("node"));
         assert_eq!(overview.statuses.len(), 500);
         let last = &overview.statuses[499];

@@ -16,6 +16,8 @@ const LONGEST: Nanos = Nanos::from_ms(60_000);
 /// A recording that is shown; or several of one take, such as its keypoints and its poses, or two solves of it.
 pub struct Recorded {
     files: Vec<File>,
+    /// Number of the file whose statuses count, from 0.
+    judged: Option<usize>,
     overview: Overview,
 }
 
@@ -39,7 +41,7 @@ impl Recorded {
             let (delays, renamed) = all.read(&mut Reader::open(path)?, number, &mut progress)?;
             files.push(File { path: path.clone(), spans: Spans::open(path)?, delays, renamed });
         }
-        Ok(Self { files, overview: all.finish() })
+        Ok(Self { files, judged: all.judged().map(|number| number - 1), overview: all.finish() })
     }
 
     /// What they hold.
@@ -63,13 +65,15 @@ impl Recorded {
     ) -> Result<Vec<u8>, RecordError> {
         let to = to.min(from + LONGEST);
         let (mut entries, mut points) = (Vec::new(), Points::default());
-        for File { spans, delays: [least, most], renamed, .. } in &self.files {
+        for (number, File { spans, delays: [least, most], renamed, .. }) in (0..).zip(&self.files) {
             let known = entries.len();
             let until = to + *most + Nanos::new(1);
             let before = [Timestamp::from_ns(i64::MIN), until];
             entries.extend(spans.read(before, |topic| kind(topic) == Some("state"))?);
             let is_streamed = |topic: &str| {
-                kind(topic).is_some_and(|kind| kind != "state" && kinds.contains(&kind))
+                let is_other = |kind| kind == "status" && self.judged != Some(number);
+                kind(topic)
+                    .is_some_and(|kind| kind != "state" && kinds.contains(&kind) && !is_other(kind))
             };
             let streamed = spans.read([from + *least, until], is_streamed)?;
             let is_inside = |entry: &RawEntry| (from..to).contains(&entry.publish_time);

@@ -533,7 +533,10 @@ fn anybody_who_receives_is_known(pair: &dyn Pair) {
     };
     let own = pair.near().subscribe("mocap/t/actor/p1/pose", Box::new(|_| {})).unwrap();
     let other = pair.far().subscribe("mocap/t/rig", Box::new(|_| {})).unwrap();
-    std::thread::sleep(Duration::from_millis(300));
+    let below = |name: &str| pair.near().receivers(name).unwrap().len();
+    while below("mocap/t") == 0 {
+        std::thread::sleep(Duration::from_millis(5));
+    }
     assert!(!is_received(), "its own subscription counts, or one of another topic");
     let guard = pair.far().subscribe("mocap/t/actor/p1/pose", Box::new(|_| {})).unwrap();
     assert!(is(true), "never known");

@@ -879,7 +879,7 @@ fn a_camera_whose_clock_is_off_raises_an_alarm() {
     // A window waits for the latest camera; what remains of the latency is for the solve.
     let windows = world.heard.status().windows.clone().unwrap();
     let declared = world.heard.status().declared_latency_ns as f64 * 1e-6;
-    let [p50, p99] = [windows.closed_p50_ms, windows.closed_p99_ms];
+    let [p50, p99] = [windows.age_p50_ms, windows.age_p99_ms];
     assert!(p50 > 150.0 && p99 >= p50 && p99 < declared, "{p50}, {p99} of {declared} ms");
     assert!(windows.cost_p50 > 0.0);
     let status = world.heard.status();

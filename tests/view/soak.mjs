@@ -1,5 +1,5 @@
 // The live page over ten minutes: npm run soak. Environment: PERFORMERS (1), CAMERAS (4), SECONDS (600), PAGES (1),
-// and those of browser.mjs. It prints figures, and fails if the memory of the page grows.
+// and those of browser.mjs. It prints figures; in ten minutes or more it fails if the memory of the page grows.
 
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";

@@ -35,14 +35,16 @@ impl Room {
         let left = room.saturating_sub(LEAST_ROOM);
         let megabytes = room >> 20;
         if left == 0 {
-            return (Some(format!("{megabytes} MB of room on the disk, recording stops")), false);
+            return (Some(format!("{megabytes} MB are free on the disk, recording stops")), false);
         }
         let is_little = left < WARN_ROOM.max(rate * WARN_SECONDS);
         let is_new = is_little && !self.is_said;
         self.is_said = is_little;
         let minutes = left / rate.max(1) / 60;
         let text = || {
-            format!("{megabytes} MB of room on the disk, for about {minutes} minutes; make room")
+            format!(
+                "{megabytes} MB are free on the disk, enough for about {minutes} minutes; free some space"
+            )
         };
         (is_new.then(text), true)
     }

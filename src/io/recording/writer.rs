@@ -48,25 +48,23 @@ impl Provenance {
     }
 }
 
-/// A message with a schema that is not ours, in Protobuf's encoding.
+/// A Protobuf message with a schema that is not ours.
 pub struct Foreign {
     /// The topic; none of ours.
     pub topic: String,
-    /// Full name of the schema, and its descriptor.
+    /// Full name of the schema.
     pub schema: String,
-    /// A `FileDescriptorSet`.
+    /// The schema's serialised `FileDescriptorSet`.
     pub descriptor: Cow<'static, [u8]>,
-    /// Encoding of the payload, by its name in MCAP.
-    pub encoding: String,
     /// The capture time.
     pub at: Timestamp,
-    /// The message.
+    /// The encoded message.
     pub payload: Vec<u8>,
 }
 
 /// Makes messages for other programs from ours.
 pub trait Companion: Send {
-    /// What follows a message of ours.
+    /// The messages that are written after this one of ours.
     fn follow(&mut self, topic: &str, message: &Message) -> Vec<Foreign>;
 }
 
@@ -144,7 +142,7 @@ impl Writer {
         Ok(Self { path, topics, channels, opened: 0, companion: None, mcap })
     }
 
-    /// Writes what a companion makes of our messages beside them, from now on.
+    /// From now on, also writes the messages that a companion makes from ours.
     #[must_use]
     pub fn with_companion(mut self, companion: Option<Box<dyn Companion>>) -> Self {
         self.companion = companion;
@@ -271,8 +269,8 @@ impl Writer {
         let Some(companion) = &mut self.companion else { return Ok(()) };
         let decoded = Message::decode(topic, &T::full_name(), ENCODING, &payload);
         let foreign = decoded.map_or_else(|_| Vec::new(), |ours| companion.follow(topic, &ours));
-        for Foreign { topic, schema, descriptor, encoding, at, payload } in foreign {
-            self.log(&topic, (&schema, Some(&descriptor)), &encoding, [at; 2], &payload)?;
+        for Foreign { topic, schema, descriptor, at, payload } in foreign {
+            self.log(&topic, (&schema, Some(&descriptor)), ENCODING, [at; 2], &payload)?;
         }
         Ok(())
     }

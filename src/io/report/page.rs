@@ -3,10 +3,10 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::bars::Bars;
-use super::plot::{Plot, Series, escape};
 use nalgebra::Vector3;
 
+use super::bars::Bars;
+use super::plot::{Plot, Series, escape};
 use crate::core::body::{JOINTS, Joint};
 use crate::io::formats::ExportError;
 use crate::io::new_file;
@@ -297,8 +297,6 @@ const STYLE: &str = include_str!("page.css");
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
-
     use super::*;
     use crate::core::body::{Pose, Skeleton};
     use crate::core::so3;

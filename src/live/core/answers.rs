@@ -149,15 +149,7 @@ impl Core {
                 if !job.is_aside() {
                     self.performer(performer).sent = Some(self.now);
                 }
-                let first = job.pose_times.first().map(|first| self.clock.node_time(*first));
-                // Windows from before the performer was found catch up.
-                let found = self.performer(performer).found;
-                if let (Task::Track { .. }, Some(first)) =
-                    (&job.task, first.filter(|at| *at > found))
-                {
-                    let age = self.now - first;
-                    self.performer(performer).windows.closed(age);
-                }
+                self.count_age(performer, &job);
                 let deadline = self.deadline(&job);
                 self.outputs.push_back(Output::Solve { performer, job, deadline });
             }
@@ -171,6 +163,19 @@ impl Core {
             tracker::Output::Placed { camera, placed } => {
                 self.placed(camera, placed.map(|placed| *placed));
             }
+        }
+    }
+
+    /// Counts the age of a window that is given to the solvers.
+    fn count_age(&mut self, performer: PerformerId, job: &Job) {
+        let (Task::Track { .. }, Some(first)) = (&job.task, job.pose_times.first()) else { return };
+        let first = self.clock.node_time(*first);
+        // Windows from before the performer was found catch up; those of a silence waited for frames.
+        let is_resuming = self.trackers().get(performer.0).is_some_and(Tracker::is_resuming);
+        let age = self.now - first;
+        let performer = self.performer(performer);
+        if first > performer.found && !is_resuming {
+            performer.windows.given(age);
         }
     }
 

@@ -68,9 +68,9 @@ pub(super) fn windows_of_all(all: &[Progress]) -> WindowCounters {
         sum.iterations = sum.iterations.max(windows.iterations);
         sum.solve_p50_ms = sum.solve_p50_ms.max(windows.solve_p50_ms);
         sum.solve_p99_ms = sum.solve_p99_ms.max(windows.solve_p99_ms);
-        sum.closed_p50_ms = sum.closed_p50_ms.max(windows.closed_p50_ms);
+        sum.age_p50_ms = sum.age_p50_ms.max(windows.age_p50_ms);
         sum.cost_p50 = sum.cost_p50.max(windows.cost_p50);
-        sum.closed_p99_ms = sum.closed_p99_ms.max(windows.closed_p99_ms);
+        sum.age_p99_ms = sum.age_p99_ms.max(windows.age_p99_ms);
         sum.termination.clone_from(&windows.termination);
     }
     sum

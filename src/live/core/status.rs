@@ -20,7 +20,7 @@ pub(super) struct Windows {
     /// Solve time in milliseconds, iterations and cost of the recent windows.
     recent: VecDeque<[f64; 3]>,
     /// Age of the first pose of recent windows when they were given to the solvers, milliseconds.
-    closed: VecDeque<f64>,
+    ages: VecDeque<f64>,
 }
 
 impl Windows {
@@ -38,8 +38,8 @@ impl Windows {
     }
 
     /// Counts a window that is given to the solvers, at that age of its first pose.
-    pub(super) fn closed(&mut self, age: Nanos) {
-        push(&mut self.closed, age.ms());
+    pub(super) fn given(&mut self, age: Nanos) {
+        push(&mut self.ages, age.ms());
     }
 
     /// Counts a window that closed without a camera.
@@ -50,13 +50,13 @@ impl Windows {
     pub(super) fn counters(&self) -> WindowCounters {
         let recent = |index: usize| self.recent.iter().map(|one| one[index]).collect();
         let [mut times, mut iterations, mut costs]: [Vec<f64>; 3] = [0, 1, 2].map(recent);
-        let mut closed: Vec<f64> = self.closed.iter().copied().collect();
+        let mut ages: Vec<f64> = self.ages.iter().copied().collect();
         WindowCounters {
             iterations: quantile(&mut iterations, 0.5),
             solve_p50_ms: quantile(&mut times, 0.5),
             solve_p99_ms: quantile(&mut times, 0.99),
-            closed_p50_ms: quantile(&mut closed, 0.5),
-            closed_p99_ms: quantile(&mut closed, 0.99),
+            age_p50_ms: quantile(&mut ages, 0.5),
+            age_p99_ms: quantile(&mut ages, 0.99),
             cost_p50: quantile(&mut costs, 0.5),
             ..self.counters.clone()
         }

@@ -12,13 +12,13 @@
 //! | `bundlemocap_camera_residual_pixels` | `camera` | median residual of the last window |
 //! | `bundlemocap_camera_usual_pixels` | `camera` | what is usual of that, by its own past |
 //! | `bundlemocap_camera_near_ratio` | `camera` | share of its points that are near the body |
-//! | `bundlemocap_camera_moved` | `camera` | 1 if it was moved, and can be mended |
+//! | `bundlemocap_camera_moved` | `camera` | 1 if it was moved and `mend` can correct it |
 //! | `bundlemocap_camera_waited_for` | `camera` | 1 if windows wait for it |
 //! | `bundlemocap_windows_total` | `outcome`: tracked, coasted, lost | windows |
 //! | `bundlemocap_windows_incomplete_total` | | windows closed by their deadline |
 //! | `bundlemocap_window_iterations` | | median iterations of the last windows |
 //! | `bundlemocap_window_solve_seconds` | `quantile`: 0.5, 0.99 | solve time of the last windows |
-//! | `bundlemocap_window_closed_seconds` | `quantile`: 0.5, 0.99 | age of a window's first pose when it is given to the solvers |
+//! | `bundlemocap_window_age_seconds` | `quantile`: 0.5, 0.99 | age of a window's first pose when it is given to the solvers |
 //! | `bundlemocap_window_cost` | | median cost of the last windows |
 //! | `bundlemocap_declared_latency_seconds` | | declared latency; 0 before it is known |
 //! | `bundlemocap_poses_total` | `outcome`: published, coasted (part of published), missed, live | poses; `live` are provisional |
@@ -156,7 +156,7 @@ impl Sheet<'_> {
         each("bundlemocap_camera_usual_pixels", "Usual residual", |c| c.usual_px)?;
         let help = "Share of points near the body";
         each("bundlemocap_camera_near_ratio", help, |c| c.near)?;
-        let help = "1 if it was moved, and can be mended";
+        let help = "1 if it was moved and `mend` can correct it";
         each("bundlemocap_camera_moved", help, |c| f64::from(u8::from(!c.moved.is_empty())))?;
         each("bundlemocap_camera_residual_pixels", "Median residual of the last window", |c| {
             c.residual_px
@@ -206,10 +206,10 @@ impl Sheet<'_> {
         let quantiles = [("0.5", windows.solve_p50_ms), ("0.99", windows.solve_p99_ms)];
         let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms / 1e3));
         self.gauges("bundlemocap_window_solve_seconds", "Solve time of the last windows", &rows)?;
-        let quantiles = [("0.5", windows.closed_p50_ms), ("0.99", windows.closed_p99_ms)];
+        let quantiles = [("0.5", windows.age_p50_ms), ("0.99", windows.age_p99_ms)];
         let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms / 1e3));
         let help = "Age of the first pose of the last windows when given to the solvers";
-        self.gauges("bundlemocap_window_closed_seconds", help, &rows)?;
+        self.gauges("bundlemocap_window_age_seconds", help, &rows)?;
         self.gauge("bundlemocap_window_cost", "Median cost of the last windows", windows.cost_p50)
     }
 
@@ -326,7 +326,7 @@ mod tests {
             windows: Some(WindowCounters {
                 tracked: 7,
                 solve_p99_ms: 4.0,
-                closed_p50_ms: 150.0,
+                age_p50_ms: 150.0,
                 cost_p50: 12.5,
                 ..WindowCounters::default()
             }),
@@ -376,7 +376,7 @@ mod tests {
             "bundlemocap_camera_near_ratio{camera=\"cam \\\"01\\\"\\n\"} 0.75",
             "bundlemocap_camera_usual_pixels{camera=\"cam \\\"01\\\"\\n\"} 4.5",
             "bundlemocap_camera_moved{camera=\"cam \\\"01\\\"\\n\"} 1.0",
-            "bundlemocap_window_closed_seconds{quantile=\"0.5\"} 0.15",
+            "bundlemocap_window_age_seconds{quantile=\"0.5\"} 0.15",
             "bundlemocap_window_cost 12.5",
             "process_cpu_seconds_total 1.5",
             "process_resident_memory_bytes 4096.0",

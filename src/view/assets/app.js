@@ -129,8 +129,8 @@ function frame(now) {
   if (store.rig !== shownRig) {
     shownRig = store.rig;
     view.setRig(shownRig);
+    panes.setRig(view.lenses);
     lookThrough(view.through?.lens.name);
-    panes.setRig(shownRig);
   } else if (!shownRig) panes.setCameras([...store.keypoints.keys()].sort());
   const people = peopleAt(chosen.time, "poses");
   // Live they are ahead; what is looked at again is beside the final pose of the same time.
@@ -175,7 +175,7 @@ function showNode(people) {
   const { level, words } = isLive ? nodeLight(store, source.connected) : recordingLight();
   $("node").className = `light ${level}`;
   setText($("node"), `${isLive ? "node" : "file"} ${level}${words.length > 0 ? `: ${words.join("; ")}` : ""}`);
-  figures.show(store, source, {
+  figures.show(store, {
     time: isLive ? Infinity : chosen.time, shown: chosen.time, isLive, people, present: present().length, toScreen,
   });
   $("node").title = words.join("\n");
@@ -314,19 +314,19 @@ function showReceivers() {
     return item;
   });
   const { received } = source;
-  const isKnown = receivers.some(({ patterns }) => patterns.some((pattern) => /\/(pose|\*\*?)$/.test(pattern)));
+  const isKnown = receivers.some(({ patterns }) => patterns.some((pattern) => /(^|\/)(pose|\*\*)$|\/actor\/[^/]+\/\*$/.test(pattern)));
   if (received && !isKnown) items.push(element("li", "an unknown program: poses"));
   const nobody = received === false ? "nobody receives poses" : "no other program is known";
   replace($("receivers"), items.length > 0 ? items : [element("li", nobody)]);
 }
 
-/** The event whose tick was pressed last, and that of the list. */
-let [told, lastTold] = [undefined, undefined];
+/** The event whose tick was pressed last, and the one that the list shows. */
+let [pressedTick, listedTick] = [undefined, undefined];
 
 function showEvents() {
-  const past = isLive && !told ? store.events : store.events.filter(({ at }) => at <= chosen.time + 1);
+  const past = isLive && !pressedTick ? store.events : store.events.filter(({ at }) => at <= chosen.time + 1);
   const list = (store.events.length <= 60 ? store.events : past).slice(-60).reverse();
-  const key = `${store.events.length} ${past.length} ${list[0]?.at} ${told?.at}`;
+  const key = `${store.events.length} ${past.length} ${list[0]?.at} ${pressedTick?.at}`;
   if ($("events").dataset.key === key) return;
   $("events").dataset.key = key;
   $("events").replaceChildren(...list.map((event) => {
@@ -337,12 +337,12 @@ function showEvents() {
     const button = element("button", `${at.toFixed(2)} s  ${kind.replaceAll("_", " ")}${times}${where ? ` (${where})` : ""}  ${detail}`, `light ${levelOf(event)}`);
     button.type = "button";
     button.addEventListener("click", () => goTo(at));
-    if (event === told) button.setAttribute("aria-current", "true");
+    if (event === pressedTick) button.setAttribute("aria-current", "true");
     item.append(button);
     return item;
   }));
-  if (told !== lastTold) $("events").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
-  lastTold = told;
+  if (pressedTick !== listedTick) $("events").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+  listedTick = pressedTick;
 }
 
 const SHADES = { tracking: 1, coasting: 0.45, lost: 0.12 };
@@ -450,6 +450,7 @@ function replace(list, items) {
 function play(on, from) {
   const [start, end] = source.span;
   chosen.playing = on;
+  if (on) pressedTick = undefined;
   if (on && !isLive && (from ?? chosen.time) >= end) chosen.time = start;
   remember();
 }
@@ -496,7 +497,10 @@ function showProvisional(on) {
   ask();
 }
 
-const showAll = () => view.frameAll(peopleAt(chosen.time, "poses"));
+function showAll() {
+  lookThrough();
+  view.frameAll(peopleAt(chosen.time, "poses"));
+}
 
 function loop() {
   if (isLive) return;
@@ -532,7 +536,7 @@ const bar = $("timeline");
 let pressedAt = 0;
 function scrub({ clientX, buttons, type }) {
   if (type === "pointerdown") pressedAt = clientX;
-  else if (buttons === 0 || (told && Math.abs(clientX - pressedAt) < 5)) return;
+  else if (buttons === 0 || (pressedTick && Math.abs(clientX - pressedAt) < 5)) return;
   const { left, width } = bar.getBoundingClientRect();
   const [start, end] = source.span;
   const timeAt = (x) => start + Math.min(1, Math.max(0, (x - left) / width)) * (end - start);
@@ -541,8 +545,8 @@ function scrub({ clientX, buttons, type }) {
   const nearest = store.events.reduce((best, event) => (best && far(best) <= far(event) ? best : event), undefined);
   // Its words are shown in the list, for there is no tooltip under a finger.
   const isPressed = type === "pointerdown" && nearest && far(nearest) < timeAt(clientX + 5) - timeAt(clientX - 5);
-  told = isPressed ? nearest : undefined;
-  goTo(told?.at ?? time);
+  pressedTick = isPressed ? nearest : undefined;
+  goTo(pressedTick?.at ?? time);
 }
 bar.addEventListener("pointerdown", (event) => {
   bar.setPointerCapture(event.pointerId);

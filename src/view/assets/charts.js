@@ -29,8 +29,8 @@ export function anglesOf(performer) {
 /** Name, place among the colours, and what it is of a status. */
 const LATENCIES = [
   ["declared", 0, ({ declared_latency_ns }) => Number(declared_latency_ns ?? 0) / 1e6],
-  ["window p50", 2, ({ windows }) => windows?.closed_p50_ms],
-  ["p99", 5, ({ windows }) => windows?.closed_p99_ms],
+  ["window p50", 2, ({ windows }) => windows?.age_p50_ms],
+  ["p99", 5, ({ windows }) => windows?.age_p99_ms],
 ];
 const COSTS = [["p50", 0, ({ windows }) => windows?.cost_p50]];
 const SOLVES = [
@@ -43,6 +43,15 @@ function curve(name, index, statuses, read) {
   return { name, colour: colour(index), gap: 3, points: points.filter(([, y]) => y > 0) };
 }
 
+/** Clears a canvas whose pixels are those of the screen; its context draws in the units of the page. */
+export function fit(canvas, context) {
+  const ratio = Math.min(devicePixelRatio, 2);
+  const size = [canvas.clientWidth, canvas.clientHeight].map((pixels) => Math.round(pixels * ratio));
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
+}
+
 export class Charts {
   constructor(canvas) {
     this.canvas = canvas;
@@ -51,14 +60,9 @@ export class Charts {
 
   /** Draws the span of the source with a cursor at `time`. `performer`: whose angles. */
   draw(store, source, time, performer) {
-    const ratio = Math.min(devicePixelRatio, 2);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
-    if (this.canvas.width !== Math.round(width * ratio) || this.canvas.height !== Math.round(height * ratio)) {
-      [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
-    }
     const { context } = this;
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.clearRect(0, 0, width, height);
+    fit(this.canvas, context);
     this.ink = getComputedStyle(this.canvas).color;
     context.font = "11px system-ui, sans-serif";
     const { statuses, angles } = source.curves(performer);

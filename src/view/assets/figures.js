@@ -19,6 +19,9 @@ const MEANINGS = {
   network: `from the due time until a pose is here: ${RECENT}`,
   "to the screen": `from the due time until a pose is on the screen: ${RECENT}`,
   captured: "time of day of the shown pose",
+  timecode: "of the shown pose",
+  "not readable": "messages that this page could not read",
+  "not shown": "messages that did not come here in time",
 };
 
 export class Figures {
@@ -32,12 +35,12 @@ export class Figures {
    * Shows the figures of a time (Infinity: the newest). `shown`: the time of the picture; `present`: how many performers
    * there are; `toScreen`: times from due times to pictures, ms.
    */
-  show(store, source, { time, shown, isLive, people, present, toScreen }) {
+  show(store, { time, shown, isLive, people, present, toScreen }) {
     const all = new Map();
     const set = (name, value, isLong = false) => all.set(name, { value, isLong });
     set("tracking", `${people.filter(({ state }) => state === "tracking").length} of ${present}`);
     const status = store.historyAt(time).at(-1)?.status;
-    if (status) this.ofStatus(store, source, status, { time, shown, set });
+    if (status) this.ofStatus(store, status, { time, shown, set });
     const arrived = [...store.performers.values()].flatMap(({ poses }) => poses.items.map(({ late }) => late));
     const late = isLive ? arrived.filter((ms) => ms !== undefined) : [];
     for (const [what, times] of [["network", late], ["to the screen", [...toScreen]]]) {
@@ -54,21 +57,25 @@ export class Figures {
     this.put(all);
   }
 
-  ofStatus(store, source, { playout, windows, declared_latency_ns }, { time, shown, set }) {
+  ofStatus(store, { playout, windows, declared_latency_ns }, { time, shown, set }) {
     const declared = Number(declared_latency_ns ?? 0n) / 1e6;
     if (declared > 0) set("latency", `${declared.toFixed(0)} ms`);
     // Of the performer with the most, in the last two seconds.
-    const counts = [...store.performers.values()].map(({ poses }) => poses.after(shown) - poses.after(shown - 2));
-    const rate = Math.max(0, ...counts) / Math.max(1e-3, Math.min(2, shown - source.span[0]));
+    const rates = [...store.performers.values()].map(({ poses }) => {
+      const [from, to] = [poses.after(shown - 2), poses.after(shown)];
+      return to - from > 1 ? (to - from - 1) / (poses.times[to - 1] - poses.times[from]) : 0;
+    });
+    const rate = Math.max(0, ...rates);
     if (rate > 0) set("poses", `${rate.toFixed(1)} Hz`);
     for (const [what, kind] of [["publishing", "deviation"], ["provisional", "provisional"]]) {
       const all = lastMinute(store, time, `${kind}_counts`);
       const shares = [0.5, 0.99, 0.999].map((share) => quantile(playout?.[`${kind}_bins_us`], all, share));
       if (shares[0] !== undefined) set(what, `${shares.map(inMs).join(" / ")} ms`, shares[1] > LONG[what]);
     }
-    const { closed_p50_ms = 0, closed_p99_ms = 0, solve_p50_ms = 0, solve_p99_ms = 0 } = windows ?? {};
-    if (closed_p50_ms > 0) set("window", `${closed_p50_ms.toFixed(0)} / ${closed_p99_ms.toFixed(0)} ms`);
-    const isLong = declared > 0 && closed_p99_ms + solve_p99_ms > declared;
+    const { age_p50_ms = 0, age_p99_ms = 0, solve_p50_ms = 0, solve_p99_ms = 0 } = windows ?? {};
+    const isLate = declared > 0 && age_p99_ms > declared;
+    if (age_p50_ms > 0) set("window", `${age_p50_ms.toFixed(0)} / ${age_p99_ms.toFixed(0)} ms`, isLate);
+    const isLong = declared > 0 && !isLate && age_p99_ms + solve_p99_ms > declared;
     if (solve_p50_ms > 0) set("solve", `${solve_p50_ms.toFixed(1)} / ${solve_p99_ms.toFixed(1)} ms`, isLong);
   }
 

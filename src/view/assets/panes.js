@@ -1,7 +1,8 @@
 // The camera images: detected keypoints, and the solved bodies over them.
 
+import { fit } from "./charts.js";
 import { colour } from "./colours.js";
-import { lensOf, project } from "./lens.js";
+import { project } from "./lens.js";
 import { median } from "./store.js";
 
 /** A frame is shown for this long, seconds; cameras of 5 Hz do not flicker. */
@@ -26,9 +27,9 @@ export class Panes {
     });
   }
 
-  setRig(rig) {
-    this.lenses = new Map(rig.cameras.map((camera) => [camera.name, lensOf(camera)]));
-    this.setCameras(rig.cameras.map(({ name }) => name));
+  setRig(lenses) {
+    this.lenses = new Map(lenses.map((lens) => [lens.name, lens]));
+    this.setCameras(lenses.map(({ name }) => name));
   }
 
   setCameras(names) {
@@ -45,6 +46,7 @@ export class Panes {
       button.type = "button";
       button.dataset.camera = name;
       button.title = `look through ${name}`;
+      button.setAttribute("aria-pressed", "false");
       const canvas = button.appendChild(document.createElement("canvas"));
       const caption = button.appendChild(document.createElement("span"));
       caption.className = "caption";
@@ -99,13 +101,9 @@ export class Panes {
 export function drawOver(canvas, through, store, time, people) {
   canvas.hidden = through === undefined;
   if (!through) return;
-  const ratio = Math.min(devicePixelRatio, 2);
-  const size = [canvas.clientWidth, canvas.clientHeight].map((pixels) => Math.round(pixels * ratio));
-  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   const [{ lens, scale, corner }, context] = [through, canvas.getContext("2d")];
-  context.setTransform(1, 0, 0, 1, 0, 0);
-  context.clearRect(0, 0, ...size);
-  context.setTransform(ratio, 0, 0, ratio, ratio * corner[0], ratio * corner[1]);
+  fit(canvas, context);
+  context.translate(...corner);
   context.strokeStyle = "#8a8f98";
   context.strokeRect(0, 0, lens.width * scale, lens.height * scale);
   const frame = store.keypoints.get(lens.name)?.at(time, AGE);

@@ -118,7 +118,7 @@ export class Recording {
     this.provisional = false;
     /** Number of parts that are being read. */
     this.reading = 0;
-    for (const event of overview.events) store.addEvent(event);
+    for (const event of overview.events) store.addEvent({ ...event, run: BigInt(event.run) });
     for (const name of Object.keys(overview.performers)) store.performer(name);
     this.read(0, "");
   }
@@ -137,7 +137,7 @@ export class Recording {
   want(provisional) {
     if (this.provisional === provisional) return;
     this.provisional = provisional;
-    this.parts.clear();
+    if (provisional) this.parts.clear();
   }
 
   async read(part, kinds) {

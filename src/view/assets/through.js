@@ -101,10 +101,12 @@ export class Through {
   /** The place on the floor, x and z, at a place of the canvas; undefined above the horizon. */
   floorAt(x, y) {
     const { lens, corner, scale } = this;
-    const at = ray(lens, (x - corner[0]) / scale, (y - corner[1]) / scale);
+    const [u, v] = [(x - corner[0]) / scale, (y - corner[1]) / scale];
+    const isInside = u >= 0 && v >= 0 && u <= lens.width && v <= lens.height;
+    const at = isInside ? ray(lens, u, v) : undefined;
     const ahead = at && [0, 1, 2].map((k) => lens.rotation[k] * at[0] + lens.rotation[3 + k] * at[1] + lens.rotation[6 + k]);
     const share = ahead ? -lens.centre[1] / ahead[1] : 0;
-    return share > 0 ? [0, 2].map((k) => lens.centre[k] + share * ahead[k]) : undefined;
+    return share > 0 && Number.isFinite(share) ? [0, 2].map((k) => lens.centre[k] + share * ahead[k]) : undefined;
   }
 
   dispose() {

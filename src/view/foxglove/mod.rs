@@ -214,11 +214,11 @@ struct Collected(Vec<Foreign>);
 
 impl Sink for Collected {
     fn put<T: Encode>(&mut self, topic: &str, at: Timestamp, message: impl FnOnce() -> T) {
-        let (mut payload, encoding) = (Vec::new(), T::get_message_encoding());
         let Some(Schema { name, data, .. }) = T::get_schema() else { return };
+        let mut payload = Vec::new();
         if message().encode(&mut payload).is_ok() {
             let topic = topic.to_owned();
-            self.0.push(Foreign { topic, schema: name, descriptor: data, encoding, at, payload });
+            self.0.push(Foreign { topic, schema: name, descriptor: data, at, payload });
         }
     }
 }

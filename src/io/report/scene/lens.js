@@ -36,6 +36,9 @@ function pixel(lens, x, y) {
   return [fx * u + lens.skew * v + cx, fy * v + cy];
 }
 
+/** Distances from the axis, at depth 1: to where a fold is looked for (84 degrees), and rays of pixels (79 degrees). */
+const [FARTHEST, WIDEST] = [10, 5];
+
 /** The ray of a pixel, as x and y at depth 1; undefined if the lens has none there. */
 export function ray(lens, u, v) {
   const miss = (x, y) => {
@@ -64,15 +67,13 @@ export function ray(lens, u, v) {
   return undefined;
 }
 
-/** Rays farther from the axis than this, at depth 1, are not looked for: 79 degrees. */
-const WIDEST = 5;
-
 /** The distance from the axis, at depth 1, at which a lens folds: beyond it, rays come back into the image. */
 function limitOf(lens) {
   const radius = (r, turn) => Math.hypot(...bent(lens, r * Math.cos(turn), r * Math.sin(turn)));
-  const turns = Array.from({ length: 16 }, (_, k) => (k * Math.PI) / 8);
-  const step = WIDEST / 1000;
-  for (let r = step; r < WIDEST; r += step) {
+  const isRound = lens.lens === 2 || [2, 3].every((k) => !lens.coefficients[k]);
+  const turns = isRound ? [0] : Array.from({ length: 16 }, (_, k) => (k * Math.PI) / 8);
+  const step = FARTHEST / 1000;
+  for (let r = step; r < FARTHEST; r += step) {
     if (turns.some((turn) => !(radius(r, turn) > radius(r - step, turn)))) return r - step;
   }
   return Infinity;

