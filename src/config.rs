@@ -121,9 +121,17 @@ impl Config {
     /// # Errors
     /// An unreadable file, unknown keys, values of the wrong type or out of range.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        Self::load_apart(path)?.fitting(path)
+    }
+
+    /// Reads a file whose settings need not fit each other, see [`Config::unfit`].
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn load_apart(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ConfigError::Unreadable { path: path.into(), source })?;
-        Self::parse(&text, path)
+        Self::parse_apart(&text, path)
     }
 
     /// Reads the text of a file; `path` is named in errors.
@@ -131,6 +139,17 @@ impl Config {
     /// # Errors
     /// As [`Config::load`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        Self::parse_apart(text, path)?.fitting(path)
+    }
+
+    fn fitting(self, path: &Path) -> Result<Self, ConfigError> {
+        match self.unfit() {
+            Some(reason) => Err(ConfigError::Together { path: path.into(), reason }),
+            None => Ok(self),
+        }
+    }
+
+    fn parse_apart(text: &str, path: &Path) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text).map_err(|error| {
             let line = error.span().map_or(1, |span| line_at(text, span.start));
             let reason = error.message().replace('\n', " ");
@@ -158,38 +177,44 @@ impl Config {
                 error: error.in_table(table),
             })?;
         }
-        if let Some(reason) = config.wrong_people() {
-            return Err(ConfigError::Together { path: path.into(), reason });
+        Ok(config)
+    }
+
+    /// Settings that do not fit each other, and what would fit.
+    pub fn unfit(&self) -> Option<&'static str> {
+        let Self { stage, node, .. } = self;
+        if let Some(wrong) = self.wrong_people() {
+            return Some(wrong);
         }
-        let reason = match config.stage.several() {
-            false if config.node.solver => {
+        let reason = match stage.several() {
+            false if node.solver => {
                 "[node] solver solves several performers; set [stage] performers = \"auto\""
             }
-            true if config.node.solver && (!config.stage.solve || config.stage.chooses()) => {
+            true if node.solver && (!stage.solve || stage.chooses()) => {
                 "[node] solver solves the performers of another node: [stage] solve = false, names, bodies, only, region, \
                  min_height_px and left_after_s are for that one"
             }
-            true if config.node.solver && config.node.latency_ms == 0.0 => {
+            true if node.solver && node.latency_ms == 0.0 => {
                 "[node] solver needs the same latency on all nodes, since performers change the node; set [node] latency_ms, \
                  such as 300"
             }
-            true if !config.node.body.is_empty() => {
+            true if !node.body.is_empty() => {
                 "[node] body is of one performer; leave it out, or set [stage] performers = 1"
             }
-            false if config.stage.chooses() => {
+            false if stage.chooses() => {
                 "[stage] names, bodies, only, region, min_height_px and left_after_s are for several people; \
                  set [stage] performers = \"auto\""
             }
-            false if !config.stage.solve => {
+            false if !stage.solve => {
                 "[stage] solve = false needs several performers; set [stage] performers"
             }
-            _ => return Ok(config),
+            _ => return None,
         };
-        Err(ConfigError::Together { path: path.into(), reason })
+        Some(reason)
     }
 
     /// What is wrong with the names of people, and how to correct it.
-    pub fn wrong_people(&self) -> Option<&'static str> {
+    fn wrong_people(&self) -> Option<&'static str> {
         let stage::Config { names, bodies, only, .. } = &self.stage;
         let mut others = BTreeSet::from([&self.node.actor]);
         if !names.iter().all(|name| others.insert(name) && !PerformerId::is_name(name)) {

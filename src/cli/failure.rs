@@ -7,7 +7,7 @@ use crate::config::ConfigError;
 use crate::core::camera::CameraError;
 use crate::core::manifold::WeightsError;
 use crate::io::bus::BusError;
-use crate::io::formats::{ExportError, TrcError};
+use crate::io::formats::{ExportError, TrajectoryError};
 use crate::io::recording::RecordError;
 use crate::io::timecode::TimecodeError;
 use crate::offline;
@@ -207,10 +207,10 @@ impl From<TakeError> for Failure {
     }
 }
 
-impl From<TrcError> for Failure {
-    fn from(error: TrcError) -> Self {
+impl From<TrajectoryError> for Failure {
+    fn from(error: TrajectoryError) -> Self {
         match &error {
-            TrcError::Unreadable { .. } => {
+            TrajectoryError::Unreadable { .. } => {
                 Self::new(Exit::Unreadable, format!("{error}; check the path"))
             }
             _ => Self::new(Exit::Malformed, error.to_string()),

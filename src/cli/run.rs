@@ -14,7 +14,7 @@ use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::lookout::look;
 use super::solve::decoder;
-use super::stage::StageArguments;
+use super::stage::{StageArguments, overridden};
 use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind, ZenohMode};
@@ -242,29 +242,31 @@ fn alone(presence: Presence, standby: bool, stop: &Stop) -> Result<Option<Presen
 
 /// The settings, overridden by the arguments.
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
-    let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
-    if let Some(bus) = arguments.bus {
-        config.bus.kind = bus.kind();
-    }
-    if let Some(rig) = &arguments.rig {
-        config.node.rig = rig.display().to_string();
-    }
-    if let Some(body) = &arguments.body {
-        config.node.body = body.display().to_string();
-    }
-    arguments.stage.apply(&mut config.stage)?;
-    if let Some(latency) = arguments.latency {
-        config.node.latency_ms = latency;
-    }
-    if !arguments.listen.is_empty() {
-        config.bus.zenoh.listen.clone_from(&arguments.listen);
-    }
-    if let Some(prometheus) = &arguments.prometheus {
-        config.node.prometheus.clone_from(prometheus);
-    }
-    if config.node.solver && config.node.actor == live::Config::default().actor {
-        config.node.actor = own_name();
-    }
+    let config = overridden(arguments.config.as_deref(), |config| {
+        if let Some(bus) = arguments.bus {
+            config.bus.kind = bus.kind();
+        }
+        if let Some(rig) = &arguments.rig {
+            config.node.rig = rig.display().to_string();
+        }
+        if let Some(body) = &arguments.body {
+            config.node.body = body.display().to_string();
+        }
+        arguments.stage.apply(&mut config.stage)?;
+        if let Some(latency) = arguments.latency {
+            config.node.latency_ms = latency;
+        }
+        if !arguments.listen.is_empty() {
+            config.bus.zenoh.listen.clone_from(&arguments.listen);
+        }
+        if let Some(prometheus) = &arguments.prometheus {
+            config.node.prometheus.clone_from(prometheus);
+        }
+        if config.node.solver && config.node.actor == live::Config::default().actor {
+            config.node.actor = own_name();
+        }
+        Ok(())
+    })?;
     // The arguments get the same checks as a file.
     Config::parse(&config.to_toml(), Path::new("the settings")).map_err(|error| {
         let message = error.to_string();

@@ -12,7 +12,7 @@ use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::rig::ConventionArguments;
 use super::span::{SpanArguments, Times};
-use super::stage::StageArguments;
+use super::stage::{StageArguments, overridden};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::body::Skeleton;
@@ -20,7 +20,7 @@ use crate::core::camera::Rig;
 use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
-use crate::io::formats::{Trc, calibration_files};
+use crate::io::formats::{MarkerMap, Trajectories, calibration_files};
 use crate::io::recording::last_body;
 use crate::offline::output::{files, of_performer};
 use crate::offline::{
@@ -105,10 +105,14 @@ pub(super) struct Arguments {
     /// The performer of --body, if that recording has several.
     #[arg(long, value_name = "NAME", requires = "body")]
     body_actor: Option<String>,
-    /// Report the distance to these marker positions (y up, frames as in the recording); with several
-    /// files, that of each performer to the nearest.
-    #[arg(long, value_name = "TRC", value_delimiter = ',')]
+    /// Report the distance to these marker trajectories (TRC with y up, or C3D; frames as in the recording); with
+    /// several files, that of each performer to the nearest.
+    #[arg(long, value_name = "FILE", value_delimiter = ',')]
     reference: Vec<PathBuf>,
+    /// File with the markers of our points, for --reference. Lines below [points]: left_knee = ["LFLE", "LFME"]
+    /// is their middle. Default: by name, such as LKnee or left_knee.
+    #[arg(long, value_name = "TOML", requires = "reference")]
+    markers: Option<PathBuf>,
     #[command(flatten)]
     stage: StageArguments,
     /// Use the capture times as they are; default: correct those of cameras that are shifted.
@@ -183,7 +187,7 @@ pub(super) struct Prepared {
     config: Config,
     decoder: Decoder,
     body: Option<Arc<Skeleton>>,
-    references: Vec<Trc>,
+    references: Vec<Trajectories>,
     rig: Option<Rig>,
 }
 
@@ -241,6 +245,7 @@ impl Arguments {
         }
         add("body", self.body.as_slice());
         add("reference", &self.reference);
+        add("markers", self.markers.as_slice());
         Ok(all)
     }
 }
@@ -257,8 +262,9 @@ impl Prepared {
                 "--body is of one performer; leave out --performers",
             ));
         }
-        let references = arguments.reference.iter().map(|path| Trc::read(path));
-        let references = references.collect::<Result<_, _>>()?;
+        let map = arguments.markers.as_deref().map(MarkerMap::read).transpose()?;
+        let read = |path: &PathBuf| Trajectories::read(path, map.as_ref());
+        let references = arguments.reference.iter().map(read).collect::<Result<_, _>>()?;
         let rig = arguments.rig.as_deref();
         let rig = rig.map(|rig| arguments.convention.read(rig)).transpose()?;
         let rig = rig.map(|read| read.rig);
@@ -342,31 +348,24 @@ impl Prepared {
 }
 
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
-    let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
-    if let Some(fps) = arguments.fps {
-        config.tracker.frame_rate_hz = frame_rate_option(fps)?;
-    }
-    config.tracker.threads = arguments.threads.map_or(config.tracker.threads, usize::from);
-    arguments.stage.apply(&mut config.stage)?;
-    match arguments.interpolation {
-        Some(InterpolationName::Slerp) => config.tracker.cost.interpolation = Interpolation::Slerp,
-        Some(InterpolationName::Lerp) => config.tracker.cost.interpolation = Interpolation::Lerp,
-        None => {}
-    }
-    match arguments.optimiser {
-        Some(OptimiserName::Lm) => config.tracker.optimiser = OptimiserKind::LevenbergMarquardt,
-        Some(OptimiserName::Lbfgs) => config.tracker.optimiser = OptimiserKind::Lbfgs,
-        None => {}
-    }
-    if let Some(why) = config.wrong_people() {
-        return Err(Failure::new(Exit::Usage, why));
-    }
-    if config.stage.chooses() && !config.stage.several() {
-        let what =
-            "[stage] names, bodies, only, region, min_height_px and left_after_s have no effect";
-        complain("warning", &format!("{what} with performers = 1: the largest person is solved"));
-    }
-    Ok(config)
+    overridden(arguments.config.as_deref(), |config| {
+        if let Some(fps) = arguments.fps {
+            config.tracker.frame_rate_hz = frame_rate_option(fps)?;
+        }
+        let tracker = &mut config.tracker;
+        tracker.threads = arguments.threads.map_or(tracker.threads, usize::from);
+        match arguments.interpolation {
+            Some(InterpolationName::Slerp) => tracker.cost.interpolation = Interpolation::Slerp,
+            Some(InterpolationName::Lerp) => tracker.cost.interpolation = Interpolation::Lerp,
+            None => {}
+        }
+        match arguments.optimiser {
+            Some(OptimiserName::Lm) => tracker.optimiser = OptimiserKind::LevenbergMarquardt,
+            Some(OptimiserName::Lbfgs) => tracker.optimiser = OptimiserKind::Lbfgs,
+            None => {}
+        }
+        arguments.stage.apply(&mut config.stage)
+    })
 }
 
 /// The decoder of a weights file, or the embedded one.

@@ -52,6 +52,10 @@ pub(super) struct Arguments {
     /// Spread of the cameras' shutter times as a share of the frame period; 0 is genlock.
     #[arg(long, default_value_t = 0.0)]
     stagger: f64,
+    /// Time from the first row of an image to its last, milliseconds, as of a rolling shutter. The capture time
+    /// is that of the middle row.
+    #[arg(long, value_name = "MS", default_value_t = 0.0, allow_negative_numbers = true)]
+    readout: f64,
     /// Number of performers, 1 to 32. Several cross the middle of the floor together, again and again,
     /// on bodies of their own, and hide each other; the truth is under `actor/p1`, `actor/p2`, ...
     #[arg(long, default_value_t = 1, value_name = "N",
@@ -129,6 +133,7 @@ fn crowd(arguments: &Arguments, frames: u64) -> Result<Crowd<AnyMotion>, Failure
         (recording.fps, recording.frames) = (arguments.fps, frames);
         (recording.format, recording.stagger) = (format, arguments.stagger);
         (recording.noise, recording.seed) = (arguments.noise.noise(), arguments.seed);
+        recording.noise.readout_s = 1e-3 * arguments.readout;
         recording.bump = arguments.bump;
         recording
     };
@@ -153,10 +158,13 @@ fn frame_count(arguments: &Arguments) -> Result<u64, Failure> {
     let wrong = |option: &str, value: f64, allowed: &str| {
         Failure::new(Exit::Usage, format!("{option} is {value}, but must be {allowed}"))
     };
-    let Arguments { seconds, stagger, .. } = *arguments;
+    let Arguments { seconds, stagger, readout, .. } = *arguments;
     let fps = frame_rate_option(arguments.fps)?;
     if !(0.0..1.0).contains(&stagger) {
         return Err(wrong("--stagger", stagger, "0 or more and below 1"));
+    }
+    if !(0.0..=100.0).contains(&readout) {
+        return Err(wrong("--readout", readout, "from 0 to 100 ms"));
     }
     let frames = (seconds * fps).round();
     if let Some(metres) = arguments.meet.filter(|metres| !(0.2..=1.5).contains(metres)) {
@@ -187,6 +195,9 @@ fn provenance(arguments: &Arguments) -> Provenance {
         arguments.format,
         arguments.stagger
     );
+    if arguments.readout > 0.0 {
+        command += &format!(" --readout {}", arguments.readout);
+    }
     if arguments.performers > 1 {
         command += &format!(" --performers {}", arguments.performers);
     }

@@ -48,6 +48,6 @@ pub use hold_out::{HeldOut, HoldOut, Located, differences, distances, pose_at};
 pub use motion::{Motion, read_motions};
 pub use options::{NewCompanion, Observer, Options};
 pub use recording::Recording;
-pub use reference::{FrameClock, Reference, ReferenceComparison};
+pub use reference::{FrameClock, Reference, ReferenceComparison, ReferenceFit, positions};
 pub use solve::{solve, solve_group};
 pub use summary::{Group, PerformerSummary, Reprojection, SolveTime, Summary};

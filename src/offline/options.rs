@@ -8,7 +8,7 @@ use crate::core::body::{Skeleton, StampedPose};
 use crate::core::manifold::{Decoder, WeightsError};
 use crate::core::stage::{Choice, Known, Performers};
 use crate::core::tracker;
-use crate::io::formats::Trc;
+use crate::io::formats::Trajectories;
 use crate::io::recording::Companion;
 use crate::io::timecode::House;
 
@@ -29,7 +29,7 @@ pub struct Options {
     pub hold_out: Vec<String>,
     /// Measure the distance from these marker positions (y up, frames as in the recording); each
     /// performer's from the nearest.
-    pub references: Vec<Trc>,
+    pub references: Vec<Trajectories>,
     /// How many performers [`solve_group`](super::solve_group) solves.
     pub performers: Performers,
     /// Who may become a performer, if there are several.

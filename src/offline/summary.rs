@@ -350,7 +350,7 @@ impl Rows {
     }
 
     fn add_reference(&mut self, reference: &Reference) {
-        let Reference { frames, mean_mm, worst_mid_hip_mm, worst_mid_hip_frame } = reference;
+        let Reference { frames, mean_mm, worst_mid_hip_mm, worst_mid_hip_frame, .. } = reference;
         self.add("reference: mean", format!("{mean_mm:.1} mm ({frames} frames)"));
         if let (Some(mm), Some(frame)) = (worst_mid_hip_mm, worst_mid_hip_frame) {
             self.add("reference: worst mid-hip", format!("{mm:.1} mm (frame {frame})"));

@@ -10,7 +10,7 @@ use bundlemocap::core::detections::Person;
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::formats::bvh::Bvh;
-use bundlemocap::io::formats::{Trc, Up, write_calibration};
+use bundlemocap::io::formats::{Trajectories, Up, write_calibration};
 use bundlemocap::io::recording::{Message, Provenance, Reader, Writer, last_body};
 use bundlemocap::io::wire::{self, Topics};
 use bundlemocap::metrics::segment_lengths;
@@ -674,16 +674,20 @@ fn a_calibration_in_millimetres_is_named_where_nobody_is_found() {
     place.fails(NOBODY_FOUND, "solve mm.mcap --out out", &evidence);
 }
 
+/// A TRC file of one marker.
+fn markers_file(name: &str, rows: &str) -> String {
+    let header = "PathFileType\t4\t(X/Y/Z)\tother.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\t\
+                  Units\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n60\t60\t120\t1\tm\t60\t0\t120\n";
+    format!("{header}Frame#\tTime\t{name}\t\t\n\t\tX1\tY1\tZ1\n{rows}")
+}
+
 #[test]
 fn a_reference_of_another_trial_is_noted() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 120, |_| true);
     let rows: String =
         (1..=120).map(|i| format!("{i}\t{:.4}\t9.0\t9.0\t9.0\n", f64::from(i) / 60.0)).collect();
-    let header = "PathFileType\t4\t(X/Y/Z)\tother.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\t\
-                  Units\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n60\t60\t120\t1\tm\t60\t0\t120\n\
-                  Frame#\tTime\tRHip\t\t\n\t\tX1\tY1\tZ1\n";
-    place.write("other.trc", format!("{header}{rows}"));
+    place.write("other.trc", markers_file("RHip", &rows));
     let notes = place.run("solve walk.mcap --out out --reference other.trc").stderr;
     let notes = String::from_utf8(notes).unwrap();
     assert!(notes.contains("note: the reference does not fit"), "{notes}");
@@ -967,7 +971,7 @@ fn who_enters_late_is_no_failure() {
     let first = 240 - figures["frames"].as_u64().unwrap() as usize;
     assert!((55..=60).contains(&first), "{first}");
     place.done("export out/poses.mcap --out a.trc --out a.csv --out a.bvh");
-    let trc = Trc::read(&place.path("a.trc")).unwrap();
+    let trc = Trajectories::read(&place.path("a.trc"), None).unwrap();
     let empty = trc.rows.iter().take_while(|row| row.points.iter().all(Option::is_none)).count();
     assert_eq!((trc.rows.len(), empty), (240, first));
     let line = &place.lines("a.csv")[1];
@@ -1418,6 +1422,13 @@ fn invalid_weights_and_settings_are_refused() {
     place.fails(UNREADABLE, &reference, &["r.trc"]);
     place.write("r.trc", "hello");
     place.fails(MALFORMED, &reference, &["r.trc", "PathFileType"]);
+    place.write("r.trc", markers_file("shin", "0\t0.0\t9.0\t9.0\t9.0\n"));
+    place.fails(MALFORMED, &reference, &["r.trc", "shin", "--markers"]);
+    let mapped = format!("{reference} --markers map.toml");
+    place.write("map.toml", "[points]\nleft_knee = ['shin', 'thigh']\n");
+    place.fails(MALFORMED, &mapped, &["map.toml", "thigh is not in r.trc, which has shin"]);
+    place.write("map.toml", "[points]\nfin = 'shin'\n");
+    place.fails(MALFORMED, &mapped, &["map.toml", "fin is no point of ours"]);
     place.write("c.toml", "[tracker]\nwindow_frames = 100000\n");
     place.fails(MALFORMED, &config, &["c.toml", "tracker.window_frames is 100000", "1 to 1000"]);
     place.write("c.toml", "[tracker]\nframe_rate_hz = 1e9\n");
@@ -1616,8 +1627,14 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
     let names: Vec<&Value> =
         known["performers"].as_array().unwrap().iter().map(|one| &one["performer"]).collect();
     assert_eq!((names, &known["others"]), (vec![&Value::from("lead")], &2.into()));
-    place.write("small.toml", "[stage]\nperformers = \"auto\"\nmin_height_px = 5000\n");
-    let nobody = place.run("solve crowd.mcap --out no --config small.toml");
+    place.write("small.toml", "[stage]\nmin_height_px = 5000\n");
+    let alone = ["small.toml: ", "are for several people"];
+    place.fails(MALFORMED, "solve crowd.mcap --out no --config small.toml", &alone);
+    place.write("auto.toml", "[stage]\nperformers = \"auto\"\nmin_height_px = 5000\n");
+    let one = place.run("solve walk.mcap --out largest --config auto.toml --performers 1");
+    let errors = String::from_utf8_lossy(&one.stderr);
+    assert!(one.status.success() && errors.contains("have no effect"), "{errors}");
+    let nobody = place.run("solve crowd.mcap --out no --config small.toml --performers auto");
     let errors = String::from_utf8_lossy(&nobody.stderr);
     let evidence = "at most 3 at a time, but [stage] only, region or min_height_px excludes all";
     assert!(nobody.status.code() == Some(5) && errors.contains(evidence), "{errors}");

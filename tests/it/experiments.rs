@@ -239,6 +239,39 @@ fn several_cameras_of_a_recording_are_held_out_at_once() {
 }
 
 #[test]
+fn a_reference_of_another_system_is_fitted_and_its_markers_have_names() {
+    let place = tempfile::tempdir().unwrap();
+    let run = |arguments: &str| {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+        program.args(arguments.split_whitespace()).current_dir(place.path());
+        let output = program.output().unwrap();
+        assert!(output.status.success(), "{arguments}: {output:?}");
+    };
+    run("synth --out take.mcap --seconds 3 --noise clean");
+    run("solve take.mcap --out out");
+    // It begins half a second later, at another rate, and z is up.
+    run("export out/poses.mcap --out lab.c3d --fps 100 --up z --start 0.5");
+    let sides = ["Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle"];
+    let lines =
+        sides.map(|name| format!("R{name} = 'R{name}'\nL{name} = ['L{name}', 'L{name}']\n"));
+    std::fs::write(place.path().join("map.toml"), format!("[points]\n{}", lines.concat())).unwrap();
+    let asked = "recording take.mcap --methods default --hold-out cam02 --reference lab.c3d \
+                 --markers map.toml";
+    let (printed, results) = done(place.path(), &format!("{asked} --align"));
+    assert!(printed.contains("LKnee mm"), "{printed}");
+    let reference = &results["methods"][0]["reference"];
+    let rows = reference["fit"]["rows"].as_f64().unwrap();
+    assert!((rows + 50.0).abs() < 0.2, "{reference}");
+    let turn = |row: usize, column: usize| reference["fit"]["turn"][row][column].as_f64().unwrap();
+    (0..3).for_each(|axis| assert!(turn(axis, axis) > 0.9999, "{reference}"));
+    assert!(reference["mean_mm"].as_f64().unwrap() < 10.0, "{reference}");
+    let (_, results) = done(place.path(), asked);
+    let reference = &results["methods"][0]["reference"];
+    assert!(reference["mean_mm"].as_f64().unwrap() > 50.0, "{reference}");
+    assert!(reference.get("fit").is_none(), "{reference}");
+}
+
+#[test]
 fn each_seed_of_the_protocol_is_a_pass() {
     let place = tempfile::tempdir().unwrap();
     std::fs::write(place.path().join("two.toml"), "seeds = [1, 2]").unwrap();
@@ -283,7 +316,7 @@ fn drift_and_ablation_print_their_tables() {
 #[test]
 fn a_factor_of_the_view_has_a_curve_for_each_method() {
     let place = tempfile::tempdir().unwrap();
-    let asked = "ablation noise,new_share,fps --rig ring3 --seconds 1.5 --every 4 \
+    let asked = "ablation noise,new_share,fps,readout --rig ring3 --seconds 1.5 --every 4 \
                  --methods triangulation,muvs";
     let (printed, results) = done(place.path(), asked);
     assert!(printed.contains("Error scale (1: the level): 0.25"), "{printed}");
@@ -296,8 +329,10 @@ fn a_factor_of_the_view_has_a_curve_for_each_method() {
     // Triangulation is worse with larger errors, and a filter is for errors that are new in each frame.
     assert!(mean(0, 0) < mean(0, 3) && mean(0, 3) < mean(0, 6), "{results}");
     assert!(mean(1, 4) < mean(1, 0), "{results}");
+    // Two rolling shutters do not see the same moment.
+    assert!(mean(3, 0) < mean(3, 4), "{results}");
     let report = std::fs::read_to_string(place.path().join("eval/report.html")).unwrap();
-    assert_eq!(report.matches("Error in held-out cameras by ").count(), 2 * 3, "{report}");
+    assert_eq!(report.matches("Error in held-out cameras by ").count(), 2 * 4, "{report}");
 }
 
 #[test]

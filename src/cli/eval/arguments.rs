@@ -23,6 +23,7 @@ Examples:
   bundlemocap eval methods --motions motions/ --body foreign --noise uniform
   bundlemocap eval methods --motions motions/ --body skinned --noise none,clean
   bundlemocap eval recording balancing.mcap --reference pose2sim.trc
+  bundlemocap eval recording walk.mcap --reference lab.c3d --markers markers.toml --align
   bundlemocap eval recording walk.mcap --hold-out c4,c5 --methods all
   bundlemocap eval drift 10 --motions motions/
   bundlemocap eval latencies 20,35,50,75,100,150,200 --motions motions/ --every 3
@@ -85,9 +86,17 @@ pub(super) struct Recording {
     #[arg(long, value_name = "PX", default_value_t = 0.0, allow_negative_numbers = true)]
     #[arg(requires = "hold_out")]
     pub(super) jitter: f64,
-    /// Report the distance to these marker positions (y up, frames as in the recording).
-    #[arg(long, value_name = "TRC")]
+    /// Report the distance to these marker trajectories (TRC with y up, or C3D; frames as in the recording).
+    #[arg(long, value_name = "FILE")]
     pub(super) reference: Option<PathBuf>,
+    /// File with the markers of our points, for --reference. Lines below [points]: left_knee = ["LFLE", "LFME"]
+    /// is their middle. Default: by name, such as LKnee or left_knee.
+    #[arg(long, value_name = "TOML", requires = "reference")]
+    pub(super) markers: Option<PathBuf>,
+    /// The reference is of another system: shift it in time, turn it and move it to where it is nearest, for each
+    /// method anew.
+    #[arg(long, requires = "reference")]
+    pub(super) align: bool,
     #[command(flatten)]
     pub(super) output: Output,
 }
@@ -146,7 +155,7 @@ pub(super) struct Latencies {
 pub(super) struct Ablation {
     /// All, or some of window, publish, keyframe, interpolation, stiffness, robust_scale, optimiser,
     /// stop, scale, prior, prior_dof, errors, foot_contact, foot_contact_speed, paper_prior; and for the
-    /// methods of --methods: cameras, noise, new_share, fps.
+    /// methods of --methods: cameras, noise, new_share, fps, readout.
     #[arg(required = true, value_name = "FACTORS", value_delimiter = ',')]
     pub(super) factors: Vec<String>,
     #[command(flatten)]

@@ -13,13 +13,13 @@ use crate::cli::failure::{Exit, Failure};
 use crate::cli::solve::decoder;
 use crate::cli::terminal::{complain, progress};
 use crate::core::detections::KeypointFormat;
-use crate::io::formats::Trc;
+use crate::io::formats::{MarkerMap, Trajectories};
 use crate::io::report::{Bars, ReportData};
 use crate::offline::recording::Item;
 use crate::offline::{FrameClock, Recording, Reference};
 use crate::research::experiments::methods;
 use crate::research::experiments::real::{
-    HeldOutCamera, RealScore, degraded, frame_rate, measure, table,
+    HeldOutCamera, Markers, RealScore, degraded, frame_rate, measure, table, table_of_points,
 };
 use crate::research::methods::{Take, Windows};
 
@@ -76,7 +76,9 @@ impl Loaded {
 pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), Failure> {
     let path = &asked.file;
     let decoder = decoder(asked.output.weights.as_deref())?;
-    let trc = asked.reference.as_deref().map(Trc::read).transpose()?;
+    let map = asked.markers.as_deref().map(MarkerMap::read).transpose()?;
+    let read = |path: &Path| Trajectories::read(path, map.as_ref());
+    let trajectories = asked.reference.as_deref().map(read).transpose()?;
     let Loaded { take, held_out, clock } = Loaded::read(path, &asked.cameras, &asked.hold_out)?;
     let jitter_px = within("--jitter", asked.jitter, 0.0, 1000.0)?;
     let take = degraded(take, asked.every.into(), jitter_px).with_body(&decoder);
@@ -86,8 +88,10 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     let mut scores = Vec::new();
     for name in names {
         let make = || methods::named(name).unwrap_or_else(|| Box::new(Windows::default_settings()));
-        let reference = trc.as_ref().map(|trc| (trc, clock));
-        match measure(&take, &held_out, &make, &decoder, reference, &|| bar.inc(1))? {
+        let markers = trajectories.as_ref();
+        let markers =
+            markers.map(|trajectories| Markers { trajectories, clock, align: asked.align });
+        match measure(&take, &held_out, &make, &decoder, markers, &|| bar.inc(1))? {
             Some(score) => scores.push(score),
             None => complain("warning", &format!("{}: {name} found nobody", path.display())),
         }
@@ -100,7 +104,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     // A wrong reference is far from every method.
     let distance = |score: &&RealScore| score.reference.as_ref().map_or(f64::MAX, |r| r.mean_mm);
     let nearest = scores.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
-    let nearest = nearest.filter(|_| trc.is_some());
+    let nearest = nearest.filter(|_| trajectories.is_some());
     if let Some(text) = nearest.and_then(|score| Reference::note(score.reference.as_ref())) {
         complain("warning", &text);
     }
@@ -108,7 +112,10 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     let report = ReportData {
         title: format!("Methods compared on {name}"),
         subtitle: format!("{cameras} cameras at {:.1} fps", take.fps),
-        leading: vec![table("Medians over detected points; distance to the reference", &scores)],
+        leading: [table("Medians over detected points; distance to the reference", &scores)]
+            .into_iter()
+            .chain(table_of_points(&scores))
+            .collect(),
         bars: vec![bars(&scores)],
         ..ReportData::default()
     };

@@ -1,7 +1,7 @@
 //! Files of other tools.
 //!
 //! - [`bvh`], [`gltf`], [`usd`], [`npz`] and [`pose_table`] (CSV): motions.
-//! - Markers: [`trc`], [`c3d`]; [`joint_angles`] (.mot, CSV).
+//! - Markers: [`trc`], [`c3d`], as [`Trajectories`]; [`joint_angles`] (.mot, CSV).
 //! - [`read_calibration`]: calibrations of many programs, to a
 //!   [`Rig`](crate::core::camera::Rig) in our world (metres, y up).
 //! - [`DetectionFolder`]: the detections of many programs, as a stream of
@@ -20,6 +20,7 @@ mod pickle;
 mod point_names;
 pub mod pose_table;
 mod style;
+mod trajectories;
 pub mod trc;
 pub mod usd;
 
@@ -35,7 +36,7 @@ pub use detections::{
 };
 pub use frame_rate::{FrameRate, frame_rate_beside};
 pub use style::{JointAxes, JointNames, RestPose, Style};
-pub use trc::{Trc, TrcError};
+pub use trajectories::{MarkerMap, Row, Trajectories, TrajectoryError};
 
 use crate::core::camera::CameraError;
 use crate::core::detections::KeypointFormat;

@@ -22,6 +22,8 @@ pub enum Seen {
     NewShare,
     /// Frames per second.
     Fps,
+    /// Time from the first row of an image to its last, milliseconds.
+    Readout,
 }
 
 impl Seen {
@@ -32,6 +34,7 @@ impl Seen {
             Self::Noise => "error scale (1: the level)",
             Self::NewShare => "share of errors new in each frame",
             Self::Fps => "frames/s",
+            Self::Readout => "readout of a rolling shutter (ms)",
         }
     }
 
@@ -46,6 +49,7 @@ impl Seen {
             Self::Noise => view.noise = view.noise.times(value),
             Self::NewShare => view.noise = view.noise.with_new_share(value),
             Self::Fps => view.choice.fps = value,
+            Self::Readout => view.noise.readout_s = 1e-3 * value,
         }
         Ok(view)
     }
@@ -64,7 +68,7 @@ pub enum Factor {
 }
 
 /// The names that [`factor`] knows.
-pub const FACTORS: [&str; 19] = [
+pub const FACTORS: [&str; 20] = [
     "window",
     "publish",
     "keyframe",
@@ -84,6 +88,7 @@ pub const FACTORS: [&str; 19] = [
     "noise",
     "new_share",
     "fps",
+    "readout",
 ];
 
 /// Thresholds on the relative change of the cost for the optimiser to stop.
@@ -169,6 +174,7 @@ pub fn factor(name: &str) -> Option<Factor> {
         "noise" => Factor::Views(Seen::Noise, vec![0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0]),
         "new_share" => Factor::Views(Seen::NewShare, vec![0.0, 0.25, 0.5, 0.75, 1.0]),
         "fps" => Factor::Views(Seen::Fps, vec![15.0, 25.0, 30.0, 50.0, 60.0, 100.0, 120.0]),
+        "readout" => Factor::Views(Seen::Readout, vec![0.0, 5.0, 10.0, 20.0, 30.0]),
         _ => return None,
     })
 }

@@ -14,7 +14,7 @@ use crate::core::detections::{Detections, Keypoint};
 use crate::core::manifold::Decoder;
 use crate::core::random::Draws;
 use crate::core::time::Timestamp;
-use crate::io::formats::Trc;
+use crate::io::formats::Trajectories;
 use crate::io::report::Table;
 use crate::metrics::statistics::median;
 use crate::metrics::{
@@ -22,7 +22,7 @@ use crate::metrics::{
 };
 use crate::offline::{
     FrameClock, HeldOut, HoldOut, Located, Reference, ReferenceComparison, differences, distances,
-    pose_at,
+    pose_at, positions,
 };
 use crate::research::methods::{Delay, Method, Motion, Solved, Take};
 
@@ -116,6 +116,35 @@ pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
 /// A camera that no method sees, and its detections in order of capture time.
 pub type HeldOutCamera = (Camera, Vec<Detections>);
 
+/// Marker trajectories of a recording.
+#[derive(Clone, Copy, Debug)]
+pub struct Markers<'a> {
+    /// The trajectories.
+    pub trajectories: &'a Trajectories,
+    /// The clock of the recording's frame numbers.
+    pub clock: FrameClock,
+    /// Whether they are of another system, see [`ReferenceComparison::fit`].
+    pub align: bool,
+}
+
+impl Markers<'_> {
+    /// The distance of the poses; `None` if no pose has markers.
+    fn compare(&self, solved: &Solved) -> Option<Reference> {
+        let mut comparison = ReferenceComparison::new(self.trajectories);
+        let times = solved.motion.times();
+        let bodies = || (0..times.len()).map(|frame| solved.motion.frame(frame));
+        if self.align {
+            let posed = times.iter().zip(bodies()).filter_map(|(at, body)| Some((*at, body?)));
+            let posed = posed.map(|(at, body)| (at, positions(&body))).collect::<Vec<_>>();
+            comparison.fit(self.clock, &posed);
+        }
+        for (capture, body) in times.iter().zip(bodies()) {
+            comparison.add(self.clock, *capture, body.as_ref());
+        }
+        comparison.finish()
+    }
+}
+
 /// Solves and measures; `None` if nobody is found. Without `held_out` cameras, each camera of the
 /// take is held out in turn. `each` is called after each solve.
 ///
@@ -126,7 +155,7 @@ pub fn measure(
     held_out: &[HeldOutCamera],
     make: &dyn Fn() -> Box<dyn Method>,
     decoder: &Decoder,
-    reference: Option<(&Trc, FrameClock)>,
+    markers: Option<Markers>,
     each: &dyn Fn(),
 ) -> Result<Option<RealScore>, CameraError> {
     let mut method = make();
@@ -166,7 +195,7 @@ pub fn measure(
         hold_out_px: HoldOut::of_all(&hold_out).and_then(|all| all.median_px),
         hold_out,
         coverage: coverage.finish(),
-        reference: reference.and_then(|(trc, clock)| compare(trc, clock, &solved)),
+        reference: markers.and_then(|markers| markers.compare(&solved)),
         mean_acceleration_m_s2: acceleration(&solved, take.fps),
         ms_per_frame: ms / frames.max(1) as f64,
     }))
@@ -194,15 +223,6 @@ pub fn acceleration(solved: &Solved, fps: f64) -> Option<f64> {
         acceleration.add(capture, solved.motion.frame(frame)?.posture().cloned());
     }
     acceleration.mean()
-}
-
-/// The distance from the reference; `None` if no row of it has a pose.
-fn compare(trc: &Trc, clock: FrameClock, solved: &Solved) -> Option<Reference> {
-    let mut comparison = ReferenceComparison::new(trc);
-    for (frame, capture) in solved.motion.times().into_iter().enumerate() {
-        comparison.add(clock, capture, solved.motion.frame(frame).as_ref());
-    }
-    comparison.finish()
 }
 
 /// The error in a held-out camera.
@@ -308,4 +328,20 @@ pub fn table(title: &str, scores: &[RealScore]) -> Table {
         cells
     };
     Table { title: title.into(), header, rows: scores.iter().map(row).collect() }
+}
+
+/// The distance of each point from the reference, if there is one; one row per method.
+pub fn table_of_points(scores: &[RealScore]) -> Option<Table> {
+    let references = || scores.iter().filter_map(|score| Some((score, score.reference.as_ref()?)));
+    let points: Vec<&String> = references().next()?.1.points_mm.keys().collect();
+    let row = |(score, reference): (&RealScore, &Reference)| {
+        let mm = |point: &&String| number(reference.points_mm.get(*point).copied(), 1);
+        std::iter::once(score.method.clone()).chain(points.iter().map(mm)).collect()
+    };
+    let names = points.iter().map(|point| format!("{point} mm"));
+    Some(Table {
+        title: "Mean distance of each point to the reference".into(),
+        header: std::iter::once("method".into()).chain(names).collect(),
+        rows: references().map(row).collect(),
+    })
 }

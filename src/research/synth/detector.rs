@@ -74,19 +74,20 @@ impl<'a> Detector<'a> {
         Self { camera, index, format, noise, places, wander, draws, biases, stranger }
     }
 
-    /// The detections of the body in one frame, captured at `seconds`.
+    /// The detections of the body in one frame, captured at `seconds`. Its posture is asked for by time.
     pub(super) fn detect(
         &self,
         frame: u64,
         capture: Timestamp,
         seconds: f64,
-        body: (&Skeleton, &Posture),
+        skeleton: &Skeleton,
+        posture: &dyn Fn(f64) -> Posture,
     ) -> Detections {
         let (noise, draws) = (self.noise, &self.draws);
         let mut people = Vec::new();
         let blank = draws.occurrence(topic::BLANK, seconds, noise.blanks, noise.blank_s);
         if blank.is_none() {
-            let performer = self.person(frame, seconds, body, 0);
+            let performer = self.person(frame, seconds, skeleton, posture, 0);
             let split = draws.occurrence(topic::SPLIT, seconds, noise.splits, noise.split_s);
             match split {
                 Some(_) => people.extend(self.split(performer)),
@@ -95,8 +96,8 @@ impl<'a> Detector<'a> {
             let seen =
                 draws.occurrence(topic::STRANGER, seconds, noise.strangers, noise.stranger_s);
             if seen.is_some() {
-                let other = (&Skeleton::default(), &self.stranger);
-                people.push(self.person(frame, seconds, other, topic::OF_STRANGER));
+                let (other, still) = (Skeleton::default(), |_| self.stranger.clone());
+                people.push(self.person(frame, seconds, &other, &still, topic::OF_STRANGER));
             }
             people.retain(|person| person.points.iter().flatten().count() >= 3);
             if draws.uniform(topic::ORDER, frame) < 0.5 {
@@ -110,18 +111,28 @@ impl<'a> Detector<'a> {
         &self,
         frame: u64,
         seconds: f64,
-        (skeleton, posture): (&Skeleton, &Posture),
+        skeleton: &Skeleton,
+        posture: &dyn Fn(f64) -> Posture,
         base: u64,
     ) -> Person {
         let swapped = self
             .draws
             .occurrence(base + topic::SWAP, seconds, self.noise.swaps, self.noise.swap_s)
             .map(|which| if which < 0.7 { Region::Leg } else { Region::Arm });
+        let readout = 0.5 * self.noise.readout_s;
+        let posture_of = |row: f64| posture(seconds + row * readout);
+        let middle = posture_of(0.0);
+        let ends = (readout > 0.0).then(|| [-1.0, 1.0].map(posture_of));
         let exact: Vec<Option<Vector2<f64>>> = (self.format.keypoints().iter())
             .map(|&keypoint| {
                 let swap = swapped.is_some() && swapped == limb_of(keypoint).map(|(r, _)| r);
                 let keypoint = if swap { mirrored(keypoint) } else { keypoint };
-                self.camera.project(&self.believed(keypoint, skeleton, posture))
+                let pixel = |posture: &Posture| {
+                    self.camera.project(&self.believed(keypoint, skeleton, posture))
+                };
+                let seen = pixel(&middle)?;
+                let Some([first, last]) = &ends else { return Some(seen) };
+                Some(self.rolled([pixel(first)?, seen, pixel(last)?]))
             })
             .collect();
         let size = extent(exact.iter().flatten().copied());
@@ -136,6 +147,17 @@ impl<'a> Detector<'a> {
             points.iter_mut().flatten().for_each(|seen| seen.confidence = mean);
         }
         Person { id: None, points }
+    }
+
+    /// The pixel of a moving point by a rolling shutter, from those that it has when the first, the middle and the
+    /// last row are read.
+    fn rolled(&self, [first, middle, last]: [Vector2<f64>; 3]) -> Vector2<f64> {
+        let (slope, bend) = ((last - first) / 2.0, (first + last) / 2.0 - middle);
+        // A point is seen by the row that it is on. It moves by much less than the image's height.
+        (0..3).fold(middle, |seen, _| {
+            let row = (2.0 * seen.y / f64::from(self.camera.height) - 1.0).clamp(-1.0, 1.0);
+            middle + slope * row + bend * (row * row)
+        })
     }
 
     /// Where the detector places a point, world frame, metres: the true point plus its bias.

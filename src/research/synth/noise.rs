@@ -73,6 +73,9 @@ pub struct Noise {
     pub blanks: f64,
     /// Longest time without a detection, seconds.
     pub blank_s: f64,
+    /// Time from the first row of an image to its last, seconds: a rolling shutter. Half of it is before the
+    /// capture time. 0: all rows at once.
+    pub readout_s: f64,
 }
 
 impl Default for Noise {
@@ -113,6 +116,7 @@ impl Noise {
             mixed_s: 0.3,
             blanks: 0.0,
             blank_s: 0.1,
+            readout_s: 0.0,
         }
     }
 
@@ -181,6 +185,7 @@ impl Noise {
             mixed_s: 0.3,
             blanks: 0.02,
             blank_s: 0.1,
+            readout_s: 0.0,
         }
     }
 

@@ -107,9 +107,8 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
         let late = self.stagger / self.fps * camera as f64 / cameras as f64;
         let since_start = Nanos::of_frames(frame, self.fps) + Nanos::rounded(late * 1e9);
         let seconds = since_start.seconds();
-        let posture = (self.motion)(seconds).posture(&self.skeleton);
-        let capture = self.start + since_start;
-        detector.detect(frame, capture, seconds, (&self.skeleton, &posture))
+        let posture = |at: f64| (self.motion)(at).posture(&self.skeleton);
+        detector.detect(frame, self.start + since_start, seconds, &self.skeleton, &posture)
     }
 }
 

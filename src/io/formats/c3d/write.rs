@@ -1,27 +1,17 @@
-//! Writes C3D files of markers.
-//!
-//! A file has a header of 512 bytes, then parameters in groups, then the frames. A frame has four numbers for each
-//! marker: x, y, z, and 0, or -1 if its place is not known. All numbers are little endian.
-//!
-//! Source: the C3D file format user guide, c3d.org.
+//! Writes C3D files. All numbers are little endian.
 
 use std::io::Write;
 use std::path::Path;
 
 use nalgebra::{Vector3, Vector4};
 
-use super::ExportError;
-use super::Up;
-use super::trc::Markers;
+use super::{BLOCK, INTEL, MAGIC};
+use crate::io::formats::trc::Markers;
+use crate::io::formats::{ExportError, Up};
 use crate::io::new_file::NewFile;
 
-const BLOCK: usize = 512;
 /// The parameters begin in the second block.
 const PARAMETERS: u8 = 2;
-/// The second byte of the header and of the parameters.
-const MAGIC: u8 = 0x50;
-/// The number of processors that are little endian.
-const INTEL: u8 = 84;
 /// A negative scale says that frames have floating point numbers.
 const SCALE: f32 = -1.0;
 /// Most bytes of a text.
