@@ -183,9 +183,6 @@ impl Config {
     /// Settings that do not fit each other, and what would fit.
     pub fn unfit(&self) -> Option<&'static str> {
         let Self { stage, node, .. } = self;
-        if let Some(wrong) = self.wrong_people() {
-            return Some(wrong);
-        }
         let reason = match stage.several() {
             false if node.solver => {
                 "[node] solver solves several performers; set [stage] performers = \"auto\""
@@ -201,21 +198,23 @@ impl Config {
             true if !node.body.is_empty() => {
                 "[node] body is of one performer; leave it out, or set [stage] performers = 1"
             }
-            false if stage.chooses() => {
-                "[stage] names, bodies, only, region, min_height_px and left_after_s are for several people; \
-                 set [stage] performers = \"auto\""
-            }
             false if !stage.solve => {
                 "[stage] solve = false needs several performers; set [stage] performers"
             }
-            _ => return None,
+            _ => return self.unfit_people(),
         };
         Some(reason)
     }
 
-    /// What is wrong with the names of people, and how to correct it.
-    fn wrong_people(&self) -> Option<&'static str> {
+    /// Settings of the people who are solved that do not fit each other, and what would fit.
+    pub fn unfit_people(&self) -> Option<&'static str> {
         let stage::Config { names, bodies, only, .. } = &self.stage;
+        if self.stage.chooses() && !self.stage.several() {
+            return Some(
+                "[stage] names, bodies, only, region, min_height_px and left_after_s are for several people; set \
+                 [stage] performers = \"auto\"",
+            );
+        }
         let mut others = BTreeSet::from([&self.node.actor]);
         if !names.iter().all(|name| others.insert(name) && !PerformerId::is_name(name)) {
             return Some(

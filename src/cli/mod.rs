@@ -29,6 +29,7 @@ mod retarget_file;
 mod retarget_live;
 mod rig;
 mod run;
+mod settings;
 mod solve;
 mod span;
 mod stage;

@@ -13,8 +13,9 @@ use super::bus::{BusName, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::lookout::look;
+use super::settings::changed;
 use super::solve::decoder;
-use super::stage::{StageArguments, overridden};
+use super::stage::StageArguments;
 use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind, ZenohMode};
@@ -242,7 +243,7 @@ fn alone(presence: Presence, standby: bool, stop: &Stop) -> Result<Option<Presen
 
 /// The settings, overridden by the arguments.
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
-    let config = overridden(arguments.config.as_deref(), |config| {
+    let config = changed(arguments.config.as_deref(), Config::unfit, |config| {
         if let Some(bus) = arguments.bus {
             config.bus.kind = bus.kind();
         }

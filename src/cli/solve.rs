@@ -11,8 +11,9 @@ use indicatif::ProgressBar;
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::rig::ConventionArguments;
+use super::settings::changed;
 use super::span::{SpanArguments, Times};
-use super::stage::{StageArguments, overridden};
+use super::stage::StageArguments;
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::body::Skeleton;
@@ -20,7 +21,7 @@ use crate::core::camera::Rig;
 use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
-use crate::io::formats::{MarkerMap, Trajectories, calibration_files};
+use crate::io::formats::{MarkerMap, Trajectories, calibration_files, read_trajectories};
 use crate::io::recording::last_body;
 use crate::offline::output::{files, of_performer};
 use crate::offline::{
@@ -263,7 +264,7 @@ impl Prepared {
             ));
         }
         let map = arguments.markers.as_deref().map(MarkerMap::read).transpose()?;
-        let read = |path: &PathBuf| Trajectories::read(path, map.as_ref());
+        let read = |path: &PathBuf| read_trajectories(path, map.as_ref());
         let references = arguments.reference.iter().map(read).collect::<Result<_, _>>()?;
         let rig = arguments.rig.as_deref();
         let rig = rig.map(|rig| arguments.convention.read(rig)).transpose()?;
@@ -348,7 +349,7 @@ impl Prepared {
 }
 
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
-    overridden(arguments.config.as_deref(), |config| {
+    changed(arguments.config.as_deref(), Config::unfit_people, |config| {
         if let Some(fps) = arguments.fps {
             config.tracker.frame_rate_hz = frame_rate_option(fps)?;
         }

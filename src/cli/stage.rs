@@ -1,13 +1,12 @@
 //! Who is solved: arguments of `run` and `solve`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 
 use super::bus::check_name;
 use super::failure::{Exit, Failure};
 use super::terminal::complain;
-use crate::config::{self as settings, ConfigError};
 use crate::core::stage::{Config, Performers};
 
 /// Which people are solved.
@@ -28,23 +27,6 @@ pub(super) struct StageArguments {
     only: Vec<String>,
 }
 
-/// The settings of a file, or the defaults, changed by the arguments. They must fit each other after that.
-pub(super) fn overridden(
-    path: Option<&Path>,
-    change: impl FnOnce(&mut settings::Config) -> Result<(), Failure>,
-) -> Result<settings::Config, Failure> {
-    let mut config = path.map(settings::Config::load_apart).transpose()?.unwrap_or_default();
-    let before = config.unfit();
-    change(&mut config)?;
-    match (config.unfit(), path) {
-        (None, _) => Ok(config),
-        (Some(reason), Some(path)) if before == Some(reason) => {
-            Err(ConfigError::Together { path: path.into(), reason }.into())
-        }
-        (Some(reason), _) => Err(Failure::new(Exit::Usage, reason)),
-    }
-}
-
 impl StageArguments {
     /// Replaces the settings that are given.
     pub(super) fn apply(&self, config: &mut Config) -> Result<(), Failure> {
@@ -59,7 +41,8 @@ impl StageArguments {
             let what = "--performers 1: [stage] names, bodies, only, region, min_height_px and \
                         left_after_s have no effect";
             complain("warning", what);
-            *config = Config { performers: config.performers, ..Config::default() };
+            let Config { performers, solve, .. } = *config;
+            *config = Config { performers, solve, ..Config::default() };
         }
         if !self.names.is_empty() {
             config.names.clone_from(&self.names);

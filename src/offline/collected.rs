@@ -18,16 +18,16 @@ use crate::diagnose::Check;
 use crate::io::recording::Report;
 
 /// The results of a solve for one performer.
-pub(super) struct Collected<'a> {
+pub(super) struct Collected {
     /// Name of the performer.
     pub(super) name: String,
     pub(super) poses: Poses,
     pub(super) windows: Windows,
     pub(super) events: BTreeMap<EventKind, u64>,
-    pub(super) comparisons: Comparisons<'a>,
+    pub(super) comparisons: Comparisons,
 }
 
-impl Collected<'_> {
+impl Collected {
     /// Takes an output of the performer, whose number it is.
     pub(super) fn add(
         &mut self,

@@ -37,11 +37,11 @@ impl Bin for PlayerPose {
 
 /// The comparisons that wait for poses, and their inputs.
 #[derive(Default)]
-pub(super) struct Comparisons<'a> {
+pub(super) struct Comparisons {
     pub(super) truths: TruthComparisons,
     pub(super) held_out: Vec<HeldOut>,
-    pub(super) references: Vec<ReferenceComparison<'a>>,
-    /// The frame clock of the first camera, from its first frame.
+    pub(super) references: Vec<ReferenceComparison>,
+    /// The newest frame of the first camera.
     pub(super) clock: Option<FrameClock>,
 }
 
@@ -211,9 +211,11 @@ impl Poses {
         }
         if let Some(clock) = comparisons.clock.filter(|_| !comparisons.references.is_empty()) {
             let posture = pose.usable().map(|pose| pose.posture(skeleton));
-            let body = posture.as_ref().map(|posture| (&**skeleton, posture));
-            for reference in &mut comparisons.references {
-                reference.add(clock, capture, body.as_ref());
+            let frame = clock.frame_at(capture, body.fps);
+            for (reference, posture) in
+                comparisons.references.iter_mut().zip(posture.iter().cycle())
+            {
+                reference.add(frame, body.fps, &(&**skeleton, posture));
             }
         }
         self.shown.push(pose.clone());

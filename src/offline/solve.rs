@@ -138,7 +138,7 @@ pub fn solve_group(
         let mut summary = Summary { time_offsets: offsets.clone(), ..summary };
         summary.notes.extend(check.warnings());
         if !options.references.is_empty() {
-            summary.notes.extend(Reference::note(summary.reference.as_ref()));
+            summary.notes.extend(Reference::note(summary.reference.as_ref(), false));
         }
         summary.check = Some(check.clone());
         if is_body_wrong {
@@ -260,10 +260,10 @@ impl Outputs {
 }
 
 /// A solve in progress.
-struct Run<'reference, 'file> {
+struct Run<'file> {
     driver: Driver,
     /// By performer.
-    collected: Vec<Collected<'reference>>,
+    collected: Vec<Collected>,
     /// With several performers.
     tracking: Option<Tracking>,
     file: Option<&'file mut PoseFile>,
@@ -273,7 +273,7 @@ struct Run<'reference, 'file> {
     solved: usize,
 }
 
-impl Run<'_, '_> {
+impl Run<'_> {
     fn stream(
         &mut self,
         recording: &mut Recording,
@@ -298,7 +298,7 @@ impl Run<'_, '_> {
             match &item {
                 Item::Detections(detections, _) => {
                     if detections.camera == 0 {
-                        comparisons.clock.get_or_insert(FrameClock::of(detections));
+                        comparisons.clock = Some(FrameClock::of(detections));
                     }
                     if poses.count == 0 {
                         let capture = detections.capture;

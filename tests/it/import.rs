@@ -9,7 +9,7 @@ use bundlemocap::core::camera::{Camera, Lens, Rig, View, triangulate_robust};
 use bundlemocap::core::detections::{Detections, Keypoint, KeypointFormat, Person};
 use bundlemocap::core::so3;
 use bundlemocap::core::time::Timestamp;
-use bundlemocap::io::formats::Trajectories;
+use bundlemocap::io::formats::read_trajectories;
 use bundlemocap::io::formats::{
     DetectionFolder, DetectionOptions, ImportError, MatchedBy, PointOrder, Up, keypoint_format,
     read_calibration,
@@ -546,10 +546,10 @@ fn real_trc_files_are_read() {
     let folder = set.join("balancing/pose-3d");
     let read = |end: &str| {
         let name = format!("S00_P00_T01_BalancingTrial_0-100{end}.trc");
-        Trajectories::read(&folder.join(name), None).unwrap()
+        read_trajectories(&folder.join(name), None).unwrap()
     };
     let (raw, augmented) = (read(""), read("_filt_butterworth_LSTM"));
-    assert_eq!((raw.rows.len(), raw.first_frame, raw.names.len()), (100, 0, 21));
+    assert_eq!((raw.rows.len(), raw.first_frame, raw.names.len()), (100, 0.0, 21));
     assert_eq!((augmented.rows.len(), augmented.names.len()), (100, 64));
     for keypoint in [Keypoint::LShoulder, Keypoint::RWrist, Keypoint::LHip, Keypoint::RAnkle] {
         assert!(raw.column_of(keypoint).is_some());

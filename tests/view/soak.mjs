@@ -1,5 +1,6 @@
 // The live page over ten minutes: npm run soak. Environment: PERFORMERS (1), CAMERAS (4), SECONDS (600), PAGES (1),
-// and those of browser.mjs. It prints figures; in ten minutes or more it fails if the memory of the page grows.
+// SOCKETS (0: pages of other computers, that draw nothing here), and those of browser.mjs. It prints figures; in ten
+// minutes or more it fails if the memory of the page grows.
 
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";
@@ -10,8 +11,22 @@ import { folder, freePort, open, people, run, shown, start } from "./browser.mjs
 
 const setting = (name, usual) => Number(process.env[name] ?? usual);
 const [performers, cameras] = [setting("PERFORMERS", 1), setting("CAMERAS", 4)];
-const [seconds, pages] = [setting("SECONDS", 600), setting("PAGES", 1)];
+const [seconds, pages, sockets] = [setting("SECONDS", 600), setting("PAGES", 1), setting("SOCKETS", 0)];
 const TIMES = 10;
+
+/** Receives what a page does; returns the bytes so far. */
+function receive(url) {
+  const own = "mocap/stage";
+  const topics = ["rig", "events", "status", "take", "take/answers", "camera/*/keypoints", "actor/**"];
+  const socket = new WebSocket(new URL("bus", url.replace("http", "ws")));
+  socket.binaryType = "arraybuffer";
+  let bytes = 0;
+  socket.onmessage = ({ data }) => {
+    if (typeof data !== "string") bytes += data.byteLength;
+    else if (JSON.parse(data).open) socket.send(JSON.stringify({ topics: topics.map((topic) => `${own}/${topic}`) }));
+  };
+  return () => bytes;
+}
 
 test("ten minutes leave the memory flat", async () => {
   const [bus, http, metrics] = [await freePort(), await freePort(), await freePort()];
@@ -24,9 +39,10 @@ test("ten minutes leave the memory flat", async () => {
   await start(["play", take, "--connect", `tcp/127.0.0.1:${bus}`]);
   const opened = [];
   for (let k = 0; k < pages; k++) opened.push(await open(node.match[1]));
-  const [{ page }] = opened;
-  await people(page, performers);
-  const devtools = await page.context().newCDPSession(page);
+  const received = Array.from({ length: sockets }, () => receive(node.match[1]));
+  const page = opened[0]?.page;
+  if (page) await people(page, performers);
+  const devtools = await page?.context().newCDPSession(page);
   const heap = async () => {
     await devtools.send("HeapProfiler.collectGarbage");
     return (await devtools.send("Runtime.getHeapUsage")).usedSize / 1e6;
@@ -40,9 +56,10 @@ test("ten minutes leave the memory flat", async () => {
   await setTimeout(15_000);
   const [missed, heaps] = [await poses("missed"), []];
   for (let k = 0; k < TIMES; k++) {
-    const before = await shown(page);
+    const before = page && (await shown(page));
     const begin = performance.now();
     await setTimeout((1000 * seconds) / TIMES);
+    if (!page) continue;
     const [now, passed] = [await shown(page), (performance.now() - begin) / 1000];
     heaps.push(await heap());
     const [pictures, bytes] = ["pictures", "bytes"].map((name) => (now[name] - before[name]) / passed);
@@ -55,9 +72,10 @@ test("ten minutes leave the memory flat", async () => {
   }
   const late = (await poses("missed")) - missed;
   console.log(`${await poses("published")} poses, ${late} of them missed after the start, ${pages} pages`);
+  for (const bytes of received) console.log(`another page received ${(bytes() / 1e6).toFixed(1)} MB`);
   assert.ok(Number.isFinite(late));
   // Curves of five minutes are kept.
   const half = TIMES / 2;
-  if (seconds >= 600) assert.ok(Math.max(...heaps.slice(half)) < 1.1 * Math.max(...heaps.slice(0, half)), `it grows: ${heaps}`);
+  if (page && seconds >= 600) assert.ok(Math.max(...heaps.slice(half)) < 1.1 * Math.max(...heaps.slice(0, half)), `it grows: ${heaps}`);
   for (const { said } of opened) assert.deepEqual(said, []);
 });

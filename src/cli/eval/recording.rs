@@ -13,7 +13,7 @@ use crate::cli::failure::{Exit, Failure};
 use crate::cli::solve::decoder;
 use crate::cli::terminal::{complain, progress};
 use crate::core::detections::KeypointFormat;
-use crate::io::formats::{MarkerMap, Trajectories};
+use crate::io::formats::{MarkerMap, read_trajectories};
 use crate::io::report::{Bars, ReportData};
 use crate::offline::recording::Item;
 use crate::offline::{FrameClock, Recording, Reference};
@@ -28,7 +28,8 @@ pub(super) struct Loaded {
     pub(super) take: Take,
     /// Cameras that no method sees.
     held_out: Vec<HeldOutCamera>,
-    clock: FrameClock,
+    /// The frames of the first camera.
+    frames: Vec<FrameClock>,
 }
 
 impl Loaded {
@@ -38,7 +39,7 @@ impl Loaded {
         let cameras = hold_out.iter().map(|name| recording.camera(name).cloned());
         let cameras = cameras.collect::<Result<Vec<_>, _>>()?;
         let rig = Arc::new(recording.chosen(only, &cameras)?);
-        let (mut frames, mut clock) = (Vec::new(), None);
+        let (mut frames, mut clocks) = (Vec::new(), Vec::new());
         let mut seen = vec![Vec::new(); cameras.len()];
         recording.stream(
             &rig,
@@ -48,7 +49,7 @@ impl Loaded {
                 match item {
                     Item::Detections(detections, _) => {
                         if detections.camera == 0 {
-                            clock.get_or_insert(FrameClock::of(&detections));
+                            clocks.push(FrameClock::of(&detections));
                         }
                         frames.push(detections);
                     }
@@ -67,7 +68,7 @@ impl Loaded {
         Ok(Self {
             take: Take::new(rig, format, fps, frames),
             held_out: cameras.into_iter().zip(seen).collect(),
-            clock: clock.ok_or_else(short)?,
+            frames: clocks,
         })
     }
 }
@@ -77,9 +78,9 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     let path = &asked.file;
     let decoder = decoder(asked.output.weights.as_deref())?;
     let map = asked.markers.as_deref().map(MarkerMap::read).transpose()?;
-    let read = |path: &Path| Trajectories::read(path, map.as_ref());
+    let read = |path: &Path| read_trajectories(path, map.as_ref());
     let trajectories = asked.reference.as_deref().map(read).transpose()?;
-    let Loaded { take, held_out, clock } = Loaded::read(path, &asked.cameras, &asked.hold_out)?;
+    let Loaded { take, held_out, frames } = Loaded::read(path, &asked.cameras, &asked.hold_out)?;
     let jitter_px = within("--jitter", asked.jitter, 0.0, 1000.0)?;
     let take = degraded(take, asked.every.into(), jitter_px).with_body(&decoder);
     let cameras = take.rig.cameras.len();
@@ -89,8 +90,11 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     for name in names {
         let make = || methods::named(name).unwrap_or_else(|| Box::new(Windows::default_settings()));
         let markers = trajectories.as_ref();
-        let markers =
-            markers.map(|trajectories| Markers { trajectories, clock, align: asked.align });
+        let markers = markers.map(|trajectories| Markers {
+            trajectories,
+            frames: &frames,
+            align: asked.align,
+        });
         match measure(&take, &held_out, &make, &decoder, markers, &|| bar.inc(1))? {
             Some(score) => scores.push(score),
             None => complain("warning", &format!("{}: {name} found nobody", path.display())),
@@ -105,7 +109,9 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     let distance = |score: &&RealScore| score.reference.as_ref().map_or(f64::MAX, |r| r.mean_mm);
     let nearest = scores.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
     let nearest = nearest.filter(|_| trajectories.is_some());
-    if let Some(text) = nearest.and_then(|score| Reference::note(score.reference.as_ref())) {
+    if let Some(text) =
+        nearest.and_then(|score| Reference::note(score.reference.as_ref(), asked.align))
+    {
         complain("warning", &text);
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -124,6 +130,8 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
         "weights": format!("{:016x}", decoder.fingerprint()),
         "recording": path,
         "reference": asked.reference,
+        "markers": asked.markers,
+        "align": asked.align,
         "frame_rate_hz": take.fps,
         "every": asked.every,
         "jitter_px": jitter_px,

@@ -36,10 +36,32 @@ pub use detections::{
 };
 pub use frame_rate::{FrameRate, frame_rate_beside};
 pub use style::{JointAxes, JointNames, RestPose, Style};
-pub use trajectories::{MarkerMap, Row, Trajectories, TrajectoryError};
+pub use trajectories::{MarkerMap, Trajectories, TrajectoryError};
 
 use crate::core::camera::CameraError;
 use crate::core::detections::KeypointFormat;
+
+/// Reads the trajectories of a TRC or a C3D file; which of them, is seen in its content. With a map, its points are the
+/// markers.
+///
+/// # Errors
+/// The file is neither, is broken, or no marker is a point of ours.
+pub fn read_trajectories(
+    path: &Path,
+    map: Option<&MarkerMap>,
+) -> Result<Trajectories, TrajectoryError> {
+    let bytes = std::fs::read(path)
+        .map_err(|source| TrajectoryError::Unreadable { path: path.into(), source })?;
+    let read = match c3d::is_c3d(&bytes) {
+        true => c3d::parse(&bytes),
+        false => trc::parse(&String::from_utf8_lossy(&bytes)),
+    };
+    let mut read = read.map_err(|error| error.in_file(path))?;
+    if let Some(map) = map {
+        read = read.mapped(map, path)?;
+    }
+    read.checked().map_err(|error| error.in_file(path))
+}
 
 /// Why an export failed. A file appears whole or not at all.
 #[derive(Debug, thiserror::Error)]

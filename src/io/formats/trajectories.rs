@@ -8,7 +8,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use super::point_names::keypoint_of;
-use super::{c3d, trc};
+use crate::core::calibration::LIMBS;
 use crate::core::detections::Keypoint;
 
 /// Why a file of marker trajectories cannot be used.
@@ -20,24 +20,29 @@ pub enum TrajectoryError {
     #[error("{path}: {source}")]
     InFile { path: PathBuf, source: Box<TrajectoryError> },
     #[error(
-        "is neither a C3D file nor a TRC file, whose line 1 begins with PathFileType; give one of these"
+        "neither a C3D nor a TRC file, whose line 1 begins with PathFileType; give one of these"
     )]
     Unknown,
     #[error("line {line} is missing; a TRC file has {what} there")]
     TooShort { line: usize, what: &'static str },
     #[error("line {line}: no value for {field}: add it to lines 2 and 3")]
     NoField { line: usize, field: &'static str },
-    #[error("{}units {units:?} are unknown; use m, cm or mm", line.map_or(String::new(), |line| format!("line {line}: ")))]
-    Units { line: Option<usize>, units: String },
+    #[error("{place}: units {units:?} are unknown; use m, cm or mm")]
+    Units { place: &'static str, units: String },
     #[error("line {line}: {cell:?} is not a number")]
     NotANumber { line: usize, cell: String },
     #[error("line {line}: {found} cells, but {markers} markers need at most {most}")]
     TooManyCells { line: usize, found: usize, markers: usize, most: usize },
-    #[error("the C3D file ends before {what}; export it again")]
-    ShortC3d { what: &'static str },
+    #[error("the C3D file has no {what}, or is cut off before; export it again")]
+    NotInC3d { what: &'static str },
     #[error("the C3D file is of processor {found}, which is unknown; export it again")]
     Processor { found: u8 },
-    #[error("no marker is a point of ours; it has {}. Name the markers of our points in a file: --markers FILE", names.join(", "))]
+    #[error("the frame rate is {rate}, but must be 1 to 10000 Hz")]
+    Rate { rate: f64 },
+    #[error(
+        "no marker is a shoulder, elbow, wrist, hip, knee or ankle by its name; there are {}; name their markers \
+         in a file for --markers", names.join(", ")
+    )]
     NoPoint { names: Vec<String> },
     #[error("{what}")]
     Map { what: String },
@@ -48,22 +53,12 @@ pub enum TrajectoryError {
 pub struct Trajectories {
     /// Frame rate, hertz.
     pub frame_rate: f64,
-    /// Number of row 0's frame in the recording. TRC: OrigDataStartFrame. C3D, which counts from 1: its first frame
-    /// less 1.
-    pub first_frame: u64,
+    /// Number of row 0's frame, counted from 0 at the rate of the rows.
+    pub first_frame: f64,
     /// Names of the markers, in the order of the points.
     pub names: Vec<String>,
-    /// The rows, evenly spaced.
-    pub rows: Vec<Row>,
-}
-
-/// The markers of a frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Row {
-    /// The file's own frame number; tools begin at 0 or at 1.
-    pub number: i64,
-    /// Position of each marker, metres, y up; `None` if it is not known.
-    pub points: Vec<Option<Vector3<f64>>>,
+    /// Position of each marker in each frame, metres, y up; `None` if it is not known. The frames are evenly spaced.
+    pub rows: Vec<Vec<Option<Vector3<f64>>>>,
 }
 
 /// The markers of each of our points:
@@ -76,7 +71,7 @@ pub struct Row {
 #[derive(Clone, Debug, PartialEq)]
 pub struct MarkerMap {
     path: PathBuf,
-    points: Vec<(Keypoint, Vec<String>)>,
+    points: BTreeMap<Keypoint, Vec<String>>,
 }
 
 #[derive(Deserialize)]
@@ -96,104 +91,124 @@ impl MarkerMap {
     /// Reads a file.
     ///
     /// # Errors
-    /// It cannot be read, or a point is not ours.
+    /// It cannot be read, a point is not ours or is there twice, or has no marker.
     pub fn read(path: &Path) -> Result<Self, TrajectoryError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| TrajectoryError::Unreadable { path: path.into(), source })?;
         let fault = |what| TrajectoryError::Map { what }.in_file(path);
-        let file: MapFile = toml::from_str(&text).map_err(|error| fault(error.to_string()))?;
-        let mut points = Vec::new();
+        let file: MapFile =
+            toml::from_str(&text).map_err(|error| fault(error.message().replace('\n', " ")))?;
+        let mut points = BTreeMap::new();
         for (name, markers) in file.points {
-            let point = keypoint_of(&name);
-            let point = point.ok_or_else(|| fault(format!("{name} is no point of ours")))?;
+            let point = keypoint_of(&name).ok_or_else(|| {
+                fault(format!("{name} is no point of ours; use names such as left_knee"))
+            })?;
             let markers = match markers {
                 Markers::One(marker) => vec![marker],
                 Markers::Several(markers) => markers,
             };
-            points.push((point, markers));
+            if markers.is_empty() {
+                return Err(fault(format!("{name} has no marker")));
+            }
+            if points.insert(point, markers).is_some() {
+                return Err(fault(format!("there are two lines for the {point}")));
+            }
         }
         Ok(Self { path: path.into(), points })
     }
 }
 
 impl TrajectoryError {
-    fn in_file(self, path: &Path) -> Self {
+    pub(super) fn in_file(self, path: &Path) -> Self {
         Self::InFile { path: path.into(), source: Box::new(self) }
     }
 }
 
 impl Trajectories {
-    /// Reads a TRC or a C3D file; which of them, is seen in its content. With a map, its points are the markers.
-    ///
-    /// # Errors
-    /// The file is neither, is broken, or no marker is a point of ours.
-    pub fn read(path: &Path, map: Option<&MarkerMap>) -> Result<Self, TrajectoryError> {
-        let bytes = std::fs::read(path)
-            .map_err(|source| TrajectoryError::Unreadable { path: path.into(), source })?;
-        let read = if c3d::is_c3d(&bytes) {
-            c3d::parse(&bytes)
-        } else {
-            trc::parse(&String::from_utf8_lossy(&bytes))
-        };
-        let read = read.map_err(|error| error.in_file(path))?;
-        let named = map.map_or(Ok(read.clone()), |map| read.mapped(map, path))?;
-        if named.names.iter().all(|name| keypoint_of(name).is_none()) {
-            return Err(TrajectoryError::NoPoint { names: named.names }.in_file(path));
-        }
-        Ok(named)
-    }
-
     /// The points of a map: each is the middle of its markers, where all are known.
-    fn mapped(&self, map: &MarkerMap, path: &Path) -> Result<Self, TrajectoryError> {
-        let mut columns = Vec::new();
-        for (_, markers) in &map.points {
-            let column = |marker: &String| {
-                self.names.iter().position(|name| is_marker(name, marker)).ok_or_else(|| {
-                    let names = self.names.join(", ");
-                    let what = format!("{marker} is not in {}, which has {names}", path.display());
-                    TrajectoryError::Map { what }.in_file(&map.path)
-                })
-            };
-            columns.push(markers.iter().map(column).collect::<Result<Vec<_>, _>>()?);
-        }
-        let middle = |row: &Row, columns: &Vec<usize>| {
-            let known = columns.iter().map(|column| row.points[*column]);
-            let sum = known.sum::<Option<Vector3<f64>>>()?;
-            (!columns.is_empty()).then(|| sum / columns.len() as f64)
+    pub(super) fn mapped(&self, map: &MarkerMap, path: &Path) -> Result<Self, TrajectoryError> {
+        let column = |marker: &String| {
+            let found = self.column_named(marker);
+            found.map_err(|what| {
+                let what = format!(
+                    "{marker} {what} {}, which has {}",
+                    path.display(),
+                    self.names.join(", ")
+                );
+                TrajectoryError::Map { what }.in_file(&map.path)
+            })
         };
-        let row = |row: &Row| Row {
-            points: columns.iter().map(|columns| middle(row, columns)).collect(),
-            ..*row
+        let columns = map.points.values();
+        let columns = columns.map(|markers| markers.iter().map(column).collect());
+        let columns: Vec<Vec<usize>> = columns.collect::<Result<_, _>>()?;
+        let row = |row: &Vec<Option<Vector3<f64>>>| {
+            let middle = |columns: &Vec<usize>| {
+                let sum =
+                    columns.iter().map(|column| row[*column]).sum::<Option<Vector3<f64>>>()?;
+                Some(sum / columns.len() as f64)
+            };
+            columns.iter().map(middle).collect()
         };
         Ok(Self {
-            names: map.points.iter().map(|(point, _)| point.to_string()).collect(),
+            names: map.points.keys().map(Keypoint::to_string).collect(),
             rows: self.rows.iter().map(row).collect(),
             ..*self
         })
     }
 
-    /// Column of a keypoint.
-    pub fn column_of(&self, keypoint: Keypoint) -> Option<usize> {
-        self.names.iter().position(|name| keypoint_of(name) == Some(keypoint))
+    /// The column of a marker, with or without the performer's name: `Anna:LKNE`.
+    fn column_named(&self, marker: &str) -> Result<usize, &'static str> {
+        if let Some(column) = self.names.iter().position(|name| name == marker) {
+            return Ok(column);
+        }
+        let mut plain =
+            (0..self.names.len()).filter(|column| plain(&self.names[*column]) == marker);
+        match (plain.next(), plain.next()) {
+            (Some(column), None) => Ok(column),
+            (Some(_), Some(_)) => Err("is the name of several markers in"),
+            (None, _) => Err("is not in"),
+        }
     }
 
-    /// The markers at a place between rows, counted from row 0; `None` outside.
-    pub fn at(&self, row: f64) -> Option<Vec<Option<Vector3<f64>>>> {
-        let nearest = row.round();
-        // Times are rounded.
-        let row = if (row - nearest).abs() < 1e-3 { nearest } else { row };
-        let share = row - row.floor();
-        let index = (row >= 0.0).then_some(row.floor() as usize)?;
-        let before = &self.rows.get(index)?.points;
-        if share == 0.0 {
-            return Some(before.clone());
+    /// Checks the rate, and that a marker is a point that can be compared.
+    pub(super) fn checked(self) -> Result<Self, TrajectoryError> {
+        if !(1.0..=1e4).contains(&self.frame_rate) {
+            return Err(TrajectoryError::Rate { rate: self.frame_rate });
         }
-        let after = &self.rows.get(index + 1)?.points;
-        Some(before.iter().zip(after).map(|(a, b)| Some((*a)?.lerp(&(*b)?, share))).collect())
+        match LIMBS.iter().any(|limb| self.column_of(*limb).is_some()) {
+            true => Ok(self),
+            false => Err(TrajectoryError::NoPoint { names: self.names }),
+        }
+    }
+
+    /// Column of a keypoint.
+    pub fn column_of(&self, keypoint: Keypoint) -> Option<usize> {
+        self.names.iter().position(|name| keypoint_of(plain(name)) == Some(keypoint))
     }
 }
 
-/// Whether a name in a file is that of a marker, with or without the performer's: `Anna:LKNE`.
-fn is_marker(name: &str, marker: &str) -> bool {
-    name == marker || name.split_once(':').is_some_and(|(_, own)| own == marker)
+/// A marker's name without the performer's.
+fn plain(name: &str) -> &str {
+    name.split_once(':').map_or(name, |(_, own)| own)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_marker_is_found_with_and_without_a_performers_name() {
+        let names = ["Anna:LKNE", "LKNE", "Anna:LANK", "Ben:LANK", "Ben:left_hip"];
+        let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+        let read = Trajectories { frame_rate: 100.0, first_frame: 0.0, names, rows: Vec::new() };
+        assert_eq!(read.column_named("LKNE"), Ok(1));
+        assert_eq!(read.column_named("Anna:LKNE"), Ok(0));
+        assert!(read.column_named("LANK").unwrap_err().contains("several"));
+        assert!(read.column_named("LHIP").unwrap_err().contains("not in"));
+        assert_eq!(read.column_of(Keypoint::LHip), Some(4));
+        assert!(read.clone().checked().is_ok());
+        let wrong =
+            |rate: f64| Trajectories { frame_rate: rate, ..read.clone() }.checked().is_err();
+        assert!([0.0, f64::NAN, f64::INFINITY, -1.0, 1e15].into_iter().all(wrong));
+    }
 }

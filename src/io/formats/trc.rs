@@ -4,7 +4,7 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 
-use super::trajectories::{Row, Trajectories, TrajectoryError};
+use super::trajectories::{Trajectories, TrajectoryError};
 use super::{ExportError, Unit, Up};
 use crate::io::new_file;
 
@@ -28,8 +28,12 @@ pub(super) fn parse(text: &str) -> Result<Trajectories, TrajectoryError> {
         .filter(|(_, text)| !text.trim().is_empty())
         .map(|(index, text)| row(index + 1, text, names.len(), metres))
         .collect::<Result<_, _>>()?;
-    let first_frame = header.number("OrigDataStartFrame")?.max(0.0) as u64;
-    Ok(Trajectories { frame_rate: header.number("DataRate")?, first_frame, names, rows })
+    let frame_rate = header.number("DataRate")?;
+    // The first frame counts at the original rate.
+    let original = header.number("OrigDataRate").ok().filter(|rate| *rate >= 1.0);
+    let first_frame = header.number("OrigDataStartFrame")?.clamp(0.0, 1e9);
+    let first_frame = first_frame * original.map_or(1.0, |original| frame_rate / original);
+    Ok(Trajectories { frame_rate, first_frame, names, rows })
 }
 
 struct Header<'a> {
@@ -55,7 +59,7 @@ impl Header<'_> {
             "m" => Ok(1.0),
             "cm" => Ok(1e-2),
             "mm" => Ok(1e-3),
-            units => Err(TrajectoryError::Units { line: Some(3), units: units.into() }),
+            units => Err(TrajectoryError::Units { place: "line 3", units: units.into() }),
         }
     }
 }
@@ -68,7 +72,12 @@ fn marker_names(line: &str) -> Vec<String> {
     names[..used].to_vec()
 }
 
-fn row(line: usize, text: &str, markers: usize, metres: f64) -> Result<Row, TrajectoryError> {
+fn row(
+    line: usize,
+    text: &str,
+    markers: usize,
+    metres: f64,
+) -> Result<Vec<Option<Vector3<f64>>>, TrajectoryError> {
     let cells: Vec<&str> = text.split('\t').map(str::trim).collect();
     let found = cells.iter().rposition(|cell| !cell.is_empty()).map_or(0, |last| last + 1);
     let most = 2 + 3 * markers;
@@ -87,8 +96,7 @@ fn row(line: usize, text: &str, markers: usize, metres: f64) -> Result<Row, Traj
         let at = Vector3::new(number(first)?, number(first + 1)?, number(first + 2)?) * metres;
         Ok(at.iter().all(|c| c.is_finite()).then_some(at))
     };
-    let points = (0..markers).map(point).collect::<Result<_, _>>()?;
-    Ok(Row { number: number(0)? as i64, points })
+    (0..markers).map(point).collect()
 }
 
 /// Markers over time, to be written.
@@ -162,11 +170,11 @@ mod tests {
     #[test]
     fn units_missing_cells_and_unknown_markers_are_handled() {
         let trc = parse(FILE).unwrap();
-        assert_eq!((trc.frame_rate, trc.first_frame, trc.rows.len()), (60.0, 7, 3));
+        assert_eq!((trc.frame_rate, trc.first_frame, trc.rows.len()), (60.0, 7.0, 3));
         assert_eq!(trc.names, ["RHip", "LHip", "mystery"]);
-        assert_eq!(trc.rows[0].points[1], Some(Vector3::new(1.2, 0.0, 0.0)));
-        assert_eq!(trc.rows[1].points[1], None);
-        assert_eq!(trc.rows[2].points[1..], [None, None]);
+        assert_eq!(trc.rows[0][1], Some(Vector3::new(1.2, 0.0, 0.0)));
+        assert_eq!(trc.rows[1][1], None);
+        assert_eq!(trc.rows[2][1..], [None, None]);
         assert_eq!(trc.column_of(Keypoint::LHip), Some(1));
         assert_eq!(trc.column_of(Keypoint::Nose), None);
     }
@@ -176,7 +184,7 @@ mod tests {
         let message = |text: &str| parse(text).unwrap_err().to_string();
         assert!(message("hello").contains("PathFileType"));
         assert!(message(&FILE.replace("mm", "inch")).contains("line 3: units \"inch\""));
-        assert!(message(&FILE.replace("0.0333", "soon")).contains("line 8: \"soon\""));
+        assert!(message(&FILE.replace("1200", "far")).contains("line 7: \"far\""));
         assert!(message(&FILE.replace("DataRate\tC", "Rate\tC")).contains("DataRate"));
         assert!(message(&FILE.replace("nan\t0\n", "0\t0\t1\t2\t3\t9\n")).contains("line 9: 12"));
         assert!(message("PathFileType\t4\n").contains("line 2"));

@@ -1,6 +1,6 @@
 //! Methods on a real recording without a truth: measured by its cameras and a reference.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -121,26 +121,27 @@ pub type HeldOutCamera = (Camera, Vec<Detections>);
 pub struct Markers<'a> {
     /// The trajectories.
     pub trajectories: &'a Trajectories,
-    /// The clock of the recording's frame numbers.
-    pub clock: FrameClock,
+    /// The frames of the first camera, in order of time.
+    pub frames: &'a [FrameClock],
     /// Whether they are of another system, see [`ReferenceComparison::fit`].
     pub align: bool,
 }
 
 impl Markers<'_> {
-    /// The distance of the poses; `None` if no pose has markers.
-    fn compare(&self, solved: &Solved) -> Option<Reference> {
+    /// The distance of the poses; `None` if no pose has markers, or if they cannot be aligned.
+    fn compare(&self, solved: &Solved, fps: f64) -> Option<Reference> {
         let mut comparison = ReferenceComparison::new(self.trajectories);
-        let times = solved.motion.times();
-        let bodies = || (0..times.len()).map(|frame| solved.motion.frame(frame));
+        let body = |(index, capture): (usize, Timestamp)| {
+            let next = self.frames.partition_point(|frame| frame.capture < capture);
+            let near = self.frames.get(next).or(self.frames.last())?;
+            Some((near.frame_at(capture, fps), solved.motion.frame(index)?))
+        };
+        let bodies = || solved.motion.times().into_iter().enumerate().filter_map(body);
         if self.align {
-            let posed = times.iter().zip(bodies()).filter_map(|(at, body)| Some((*at, body?)));
-            let posed = posed.map(|(at, body)| (at, positions(&body))).collect::<Vec<_>>();
-            comparison.fit(self.clock, &posed);
+            let points: Vec<_> = bodies().map(|(frame, body)| (frame, positions(&body))).collect();
+            comparison.fit(fps, &points).then_some(())?;
         }
-        for (capture, body) in times.iter().zip(bodies()) {
-            comparison.add(self.clock, *capture, body.as_ref());
-        }
+        bodies().for_each(|(frame, body)| comparison.add(frame, fps, &body));
         comparison.finish()
     }
 }
@@ -195,7 +196,7 @@ pub fn measure(
         hold_out_px: HoldOut::of_all(&hold_out).and_then(|all| all.median_px),
         hold_out,
         coverage: coverage.finish(),
-        reference: markers.and_then(|markers| markers.compare(&solved)),
+        reference: markers.and_then(|markers| markers.compare(&solved, take.fps)),
         mean_acceleration_m_s2: acceleration(&solved, take.fps),
         ms_per_frame: ms / frames.max(1) as f64,
     }))
@@ -332,16 +333,18 @@ pub fn table(title: &str, scores: &[RealScore]) -> Table {
 
 /// The distance of each point from the reference, if there is one; one row per method.
 pub fn table_of_points(scores: &[RealScore]) -> Option<Table> {
-    let references = || scores.iter().filter_map(|score| Some((score, score.reference.as_ref()?)));
-    let points: Vec<&String> = references().next()?.1.points_mm.keys().collect();
-    let row = |(score, reference): (&RealScore, &Reference)| {
+    let references: Vec<_> =
+        scores.iter().filter_map(|score| Some((score, score.reference.as_ref()?))).collect();
+    let points: BTreeSet<&String> =
+        references.iter().flat_map(|(_, reference)| reference.points_mm.keys()).collect();
+    let row = |(score, reference): &(&RealScore, &Reference)| {
         let mm = |point: &&String| number(reference.points_mm.get(*point).copied(), 1);
         std::iter::once(score.method.clone()).chain(points.iter().map(mm)).collect()
     };
     let names = points.iter().map(|point| format!("{point} mm"));
-    Some(Table {
+    (!references.is_empty()).then(|| Table {
         title: "Mean distance of each point to the reference".into(),
         header: std::iter::once("method".into()).chain(names).collect(),
-        rows: references().map(row).collect(),
+        rows: references.iter().map(row).collect(),
     })
 }

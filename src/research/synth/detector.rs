@@ -132,7 +132,8 @@ impl<'a> Detector<'a> {
                 };
                 let seen = pixel(&middle)?;
                 let Some([first, last]) = &ends else { return Some(seen) };
-                Some(self.rolled([pixel(first)?, seen, pixel(last)?]))
+                let height = f64::from(self.camera.height);
+                Some(rolled(height, [pixel(first)?, seen, pixel(last)?]))
             })
             .collect();
         let size = extent(exact.iter().flatten().copied());
@@ -147,17 +148,6 @@ impl<'a> Detector<'a> {
             points.iter_mut().flatten().for_each(|seen| seen.confidence = mean);
         }
         Person { id: None, points }
-    }
-
-    /// The pixel of a moving point by a rolling shutter, from those that it has when the first, the middle and the
-    /// last row are read.
-    fn rolled(&self, [first, middle, last]: [Vector2<f64>; 3]) -> Vector2<f64> {
-        let (slope, bend) = ((last - first) / 2.0, (first + last) / 2.0 - middle);
-        // A point is seen by the row that it is on. It moves by much less than the image's height.
-        (0..3).fold(middle, |seen, _| {
-            let row = (2.0 * seen.y / f64::from(self.camera.height) - 1.0).clamp(-1.0, 1.0);
-            middle + slope * row + bend * (row * row)
-        })
     }
 
     /// Where the detector places a point, world frame, metres: the true point plus its bias.
@@ -241,6 +231,17 @@ impl<'a> Detector<'a> {
     }
 }
 
+/// The pixel of a moving point by a rolling shutter, from those that it has when the first, the middle and the last row
+/// of an image of that height are read.
+fn rolled(height: f64, [first, middle, last]: [Vector2<f64>; 3]) -> Vector2<f64> {
+    let (slope, bend) = ((last - first) / 2.0, (first + last) / 2.0 - middle);
+    // A point is seen by the row that it is on. It moves by much less than the image's height.
+    (0..3).fold(middle, |seen, _| {
+        let row = (2.0 * seen.y / height - 1.0).clamp(-1.0, 1.0);
+        middle + slope * row + bend * (row * row)
+    })
+}
+
 /// Frame, time and person of a point.
 struct At {
     frame: u64,
@@ -286,4 +287,20 @@ fn stranger(draws: Draws) -> Posture {
     pose.root_position = turn * pose.root_position;
     pose.root_rotation = turn * super::motion::about_y(1.5) * pose.root_rotation;
     pose.posture(&skeleton)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rolling_shutter_sees_a_point_when_its_row_is_read() {
+        // It falls and slows down while the rows are read.
+        let at = |row: f64| Vector2::new(400.0 + 30.0 * row, 700.0 + 40.0 * row - 8.0 * row * row);
+        let seen = rolled(1000.0, [at(-1.0), at(0.0), at(1.0)]);
+        let steps = (-100_000..=100_000).map(|step| f64::from(step) * 1e-5);
+        let is_on = |row: &f64| (at(*row).y - 500.0 * (row + 1.0)).abs();
+        let row = steps.min_by(|a, b| is_on(a).total_cmp(&is_on(b))).unwrap();
+        assert!((seen - at(row)).norm() < 0.02, "{seen} {}", at(row));
+    }
 }

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use nalgebra::Vector3;
 
 use super::{BLOCK, INTEL, MAGIC};
-use crate::io::formats::trajectories::{Row, Trajectories, TrajectoryError};
+use crate::io::formats::trajectories::{Trajectories, TrajectoryError};
 use crate::io::formats::{Unit, Up};
 
 /// The number of processors of DEC, whose floating point numbers are of their own kind.
@@ -13,37 +13,39 @@ const DEC: u8 = 85;
 /// The number of processors that are big endian.
 const MIPS: u8 = 86;
 
-/// Whether a file begins as a C3D file does.
+/// Whether a file begins as a C3D file does, and not as a text.
 pub(in crate::io::formats) fn is_c3d(bytes: &[u8]) -> bool {
-    bytes.get(1) == Some(&MAGIC)
+    matches!(bytes, [1..b' ', MAGIC, ..])
 }
 
 /// Parses the bytes of a file. Its axis that is up, by `POINT:Y_SCREEN`, becomes y; without one it is z.
 pub(in crate::io::formats) fn parse(bytes: &[u8]) -> Result<Trajectories, TrajectoryError> {
-    let short = |what| TrajectoryError::ShortC3d { what };
+    let no = |what| TrajectoryError::NotInC3d { what };
     let start = BLOCK * usize::from(bytes[0].saturating_sub(1));
     let parameters = bytes.get(start..).filter(|bytes| bytes.len() > 4);
-    let parameters = parameters.ok_or(short("the parameters"))?;
+    let parameters = parameters.ok_or(no("parameters"))?;
     let numbers = Numbers { processor: parameters[3] };
     if ![INTEL, DEC, MIPS].contains(&numbers.processor) {
         return Err(TrajectoryError::Processor { found: numbers.processor });
     }
     let header = |at: usize| bytes.get(at..).and_then(|bytes| numbers.integer(bytes));
-    let header = |at: usize, what| header(at).map(|number| number as u16).ok_or(short(what));
-    let count = usize::from(header(2, "the number of markers")?);
-    let analog = usize::from(header(4, "the number of analog values")?);
-    let (first, last) = (header(6, "the first frame")?, header(8, "the last frame")?);
-    let data = BLOCK * usize::from(header(16, "the place of the frames")?.saturating_sub(1));
+    let header = |at: usize, what| header(at).map(|number| number as u16).ok_or(no(what));
+    let count = usize::from(header(2, "number of markers")?);
+    let analog = usize::from(header(4, "number of analog values")?);
+    let (first, last) = (header(6, "first frame")?, header(8, "last frame")?);
+    let data = BLOCK * usize::from(header(16, "place of the frames")?.saturating_sub(1));
 
     let of_markers = group(parameters, &numbers, "POINT");
-    let float = |name: &str| of_markers.get(name).and_then(|p| numbers.float(p.data));
+    let float = |name: &str, what| {
+        let found = of_markers.get(name).and_then(|p| numbers.float(p.data));
+        found.map(f64::from).ok_or(no(what))
+    };
     let text = |name: &str| of_markers.get(name).and_then(|p| p.texts().next());
-    let scale = f64::from(float("SCALE").ok_or(short("POINT:SCALE"))?);
-    let frame_rate = float("RATE").map(f64::from).filter(|rate| *rate > 0.0);
-    let frame_rate = frame_rate.ok_or(short("POINT:RATE"))?;
+    let (scale, frame_rate) = (float("SCALE", "POINT:SCALE")?, float("RATE", "POINT:RATE")?);
     let units = text("UNITS").filter(|unit| !unit.is_empty()).unwrap_or_else(|| "mm".into());
-    let unit: Unit = units.parse().map_err(|_| TrajectoryError::Units { line: None, units })?;
-    let up = text("Y_SCREEN").map(|axis| axis.trim_start_matches('+').to_lowercase());
+    let unit: Unit =
+        units.parse().map_err(|_| TrajectoryError::Units { place: "POINT:UNITS", units })?;
+    let up = text("Y_SCREEN").map(|axis| axis.trim_start_matches('+').trim().to_lowercase());
     let up: Up = up.and_then(|axis| axis.parse().ok()).unwrap_or_default();
     let turn = up.calibration_from_world().transpose() * unit.metres();
     // Those of more than 255 markers are in several parameters.
@@ -68,20 +70,25 @@ pub(in crate::io::formats) fn parse(bytes: &[u8]) -> Result<Trajectories, Trajec
         let is_known = at.iter().all(|c| c.is_finite()) && at != Vector3::zeros();
         (is_known && number(bytes, 3)? >= 0.0).then(|| turn * at)
     };
-    // The header has no room for the last frame of a long recording.
-    let all =
-        if last == u16::MAX { usize::MAX } else { usize::from(last.saturating_sub(first)) + 1 };
+    // The header has no room for the numbers of a long recording.
+    let trial = group(parameters, &numbers, "TRIAL");
+    let long = |name: &str| {
+        let (low, high) = trial.get(name)?.data.split_at_checked(2)?;
+        let [low, high] = [numbers.integer(low)?, numbers.integer(high)?];
+        Some(u32::from(high as u16) << 16 | u32::from(low as u16))
+    };
+    let first = long("ACTUAL_START_FIELD").unwrap_or(first.into());
+    let last = long("ACTUAL_END_FIELD").unwrap_or(last.into());
+    let all = last.checked_sub(first).map_or(usize::MAX, |frames| frames as usize + 1);
     let length = width * (4 * count + analog);
     let frames = bytes.get(data..).unwrap_or_default().chunks_exact(length.max(1)).take(all);
     if length == 0 || frames.len() == 0 {
-        return Err(short("a frame of markers"));
+        return Err(no("frame of markers"));
     }
-    let row = |(frame, bytes): (usize, &[u8])| Row {
-        number: frame as i64 + i64::from(first),
-        points: bytes.chunks_exact(4 * width).take(count).map(place).collect(),
-    };
-    let rows = frames.enumerate().map(row).collect();
-    Ok(Trajectories { frame_rate, first_frame: first.saturating_sub(1).into(), names, rows })
+    let rows = frames.map(|frame| frame.chunks_exact(4 * width).take(count).map(place).collect());
+    // Frames count from 1.
+    let (first_frame, rows) = (f64::from(first.saturating_sub(1)), rows.collect());
+    Ok(Trajectories { frame_rate, first_frame, names, rows })
 }
 
 /// Numbers as a processor has them.
@@ -159,8 +166,9 @@ fn group<'a>(section: &'a [u8], numbers: &Numbers, name: &str) -> HashMap<String
 fn parameter(content: &[u8]) -> Option<Parameter<'_>> {
     let (&[kind, rank], rest) = content.split_first_chunk()?;
     let (dimensions, data) = rest.split_at_checked(rank.into())?;
-    let values: usize = dimensions.iter().map(|size| usize::from(*size)).product();
-    let data = data.get(..values * usize::from((kind as i8).unsigned_abs()))?;
+    let width = usize::from((kind as i8).unsigned_abs());
+    let mut sizes = dimensions.iter().map(|size| usize::from(*size));
+    let data = data.get(..sizes.try_fold(width, usize::checked_mul)?)?;
     Some(Parameter { dimensions, data })
 }
 
@@ -185,10 +193,9 @@ mod tests {
     #[test]
     fn what_is_written_is_read() {
         let read = parse(&written()).unwrap();
-        assert_eq!((read.frame_rate, read.first_frame), (120.0, 0));
+        assert_eq!((read.frame_rate, read.first_frame, read.rows.len()), (120.0, 0.0, 2));
         assert_eq!(read.names, ["LKNE", "Anna:LANK"]);
-        assert_eq!(read.rows[1].number, 2);
-        let place = |row: usize, marker: usize| read.rows[row].points[marker];
+        let place = |row: usize, marker: usize| read.rows[row][marker];
         assert_eq!(place(0, 1), None);
         for (found, x) in [(place(0, 0), 0.5), (place(1, 0), 0.75), (place(1, 1), -2.0)] {
             assert!((found.unwrap() - Vector3::new(x, 1.0, -0.25)).norm() < 1e-6, "{found:?}");
@@ -233,11 +240,11 @@ mod tests {
                 numbers.into_iter().for_each(|number| file.extend(integer(number)));
             }
             let read = parse(&file).unwrap();
-            assert_eq!((read.frame_rate, read.first_frame, read.rows.len()), (50.0, 10, 2));
+            assert_eq!((read.frame_rate, read.first_frame, read.rows.len()), (50.0, 10.0, 2));
             assert_eq!(read.names, ["LKNE"]);
-            let at = read.rows[0].points[0].unwrap();
+            let at = read.rows[0][0].unwrap();
             assert!((at - Vector3::new(1.0, 1.5, 0.5)).norm() < 1e-9, "{processor}: {at}");
-            assert_eq!(read.rows[1].points[0], None);
+            assert_eq!(read.rows[1][0], None);
         }
     }
 
@@ -255,7 +262,8 @@ mod tests {
             }
         }
         let message = |bytes: &[u8]| parse(bytes).unwrap_err().to_string();
-        assert!(message(&whole[..600]).contains("POINT"), "{}", message(&whole[..600]));
+        assert!(message(&whole[..530]).contains("POINT:SCALE"), "{}", message(&whole[..530]));
+        assert!(message(&whole[..600]).contains("no frame"), "{}", message(&whole[..600]));
         let mut other = whole.clone();
         other[BLOCK + 3] = 9;
         assert!(message(&other).contains("processor 9"), "{}", message(&other));
