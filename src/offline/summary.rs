@@ -323,7 +323,8 @@ impl Rows {
         let longest = found.longest.first().map_or_else(String::new, |longest| {
             let Episode { keypoint, capture_time_ns, frames, distance_m } = longest;
             let (start, cm) = ((*capture_time_ns - first) as f64 / 1e9, 100.0 * distance_m);
-            format!(", longest {frames} frames: {keypoint} {cm:.0} cm off at {start:.2} s")
+            let s = if *frames == 1 { "" } else { "s" };
+            format!(", longest {frames} frame{s}: {keypoint} {cm:.0} cm off at {start:.2} s")
         });
         self.add("seen and not followed", format!("{:.3} % of points{longest}", found.percent));
     }

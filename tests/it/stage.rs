@@ -475,3 +475,19 @@ fn a_hidden_performers_place_is_not_somebody_elses() {
         }
     }
 }
+
+#[test]
+fn what_a_solver_knows_of_the_offsets_of_a_body_is_kept_by_the_stage() {
+    let body = Arc::new(Skeleton::default());
+    let rig = Arc::new(ring_rig(4, 5.0, 2.0).unwrap());
+    let tracker = Tracker::new(TrackerConfig::default(), rig);
+    let new = Stage::new(tracker, Performers::Auto, None).without_solving();
+    let known = Known { body: Some(Arc::clone(&body)), ..Known::default() };
+    let mut stage = new.clone().with_known(&[known]);
+    let offsets_are_known = |stage: &Stage| stage.known()[0].offsets_are_known;
+    assert!(!offsets_are_known(&stage));
+    stage.know_body(PerformerId(0), body, true);
+    assert!(offsets_are_known(&stage));
+    // The next take begins with it.
+    assert!(offsets_are_known(&new.with_known(&stage.known())));
+}

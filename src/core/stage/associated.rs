@@ -32,12 +32,17 @@ impl Stage {
         self
     }
 
-    /// Not solving: the body of a performer, who is solved elsewhere.
-    pub fn know_body(&mut self, performer: PerformerId, body: Arc<Skeleton>) {
+    /// Not solving: the body of a performer, who is solved elsewhere, and whether its keypoint offsets are known.
+    pub fn know_body(
+        &mut self,
+        performer: PerformerId,
+        body: Arc<Skeleton>,
+        offsets_are_known: bool,
+    ) {
         if self.saved.len() <= performer.0 {
             self.saved.resize(performer.0 + 1, None);
         }
-        self.saved[performer.0] = Some(body);
+        self.saved[performer.0] = Some((body, offsets_are_known));
     }
 
     /// Not solving: the performer enters or returns with the next frames.

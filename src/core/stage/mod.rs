@@ -102,8 +102,9 @@ pub struct Stage {
     template: Tracker,
     /// Known bodies, by performer.
     bodies: Vec<Option<Arc<Skeleton>>>,
-    /// Bodies of another day, by performer, of those who have not come yet.
-    saved: Vec<Option<Arc<Skeleton>>>,
+    /// Bodies of those who have not come yet, by performer, and whether their keypoint offsets are known. If this node does
+    /// not solve: of all.
+    saved: Vec<Option<(Arc<Skeleton>, bool)>>,
     trackers: Vec<Tracker>,
     /// With several performers.
     crowd: Option<Crowd>,
@@ -231,7 +232,8 @@ impl Stage {
         self.saved.resize(count, None);
         if !self.is_solving {
             for one in known {
-                self.saved[one.performer.0].clone_from(&one.body);
+                self.saved[one.performer.0] =
+                    one.body.clone().map(|body| (body, one.offsets_are_known));
             }
             return self;
         }
@@ -245,7 +247,8 @@ impl Stage {
                     new.with_known_body(one.body.clone(), one.offsets_are_known)
                 }
                 (None, one) => {
-                    self.saved[number] = one.and_then(|one| one.body.clone());
+                    let body = |one: &Known| Some((one.body.clone()?, one.offsets_are_known));
+                    self.saved[number] = one.and_then(body);
                     new
                 }
             };
@@ -264,11 +267,11 @@ impl Stage {
         let with_body = |one: Known| {
             let tracker = self.trackers.get(one.performer.0).filter(|t| t.known_body().is_some());
             let saved = self.saved.get(one.performer.0).and_then(Option::as_ref);
-            Known {
-                body: tracker.and_then(Tracker::known_body).or(saved).cloned(),
-                offsets_are_known: tracker.is_some_and(|t| t.body_estimate().knows_offsets()),
-                ..one
-            }
+            let tracked = tracker.and_then(|tracker| {
+                Some((tracker.known_body()?.clone(), tracker.body_estimate().knows_offsets()))
+            });
+            let (body, offsets_are_known) = tracked.or(saved.cloned()).unzip();
+            Known { body, offsets_are_known: offsets_are_known.unwrap_or(false), ..one }
         };
         known.into_iter().map(with_body).collect()
     }
@@ -515,14 +518,14 @@ impl Stage {
                 let returns = PerformerFrames { returns: true, ..PerformerFrames::default() };
                 self.begin_frames(performer, returns);
                 match self.saved.get_mut(performer).and_then(Option::take) {
-                    Some(body) if !self.is_solving => {
-                        let state = Box::new(HandOver::of_body(body, at));
+                    Some((body, offsets_are_known)) if !self.is_solving => {
+                        let state = Box::new(HandOver::of_body(body, offsets_are_known, at));
                         let state = tracker::Output::HandOver(state);
                         let output = Output::Performer(PerformerId(performer), state);
                         self.next.push_back(Next::Output(output));
                     }
-                    Some(body) => {
-                        let new = self.template.clone().with_body_of_another_take(Some(body));
+                    Some((body, offsets_are_known)) => {
+                        let new = self.template.clone().with_known_body(body, offsets_are_known);
                         self.trackers[performer] = new.fed(performer);
                         self.begin_to_watch(performer);
                     }

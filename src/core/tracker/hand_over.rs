@@ -25,15 +25,18 @@ pub struct HandOver {
 }
 
 impl HandOver {
-    /// The state of a performer of whom only the body is known, from another take, from a time on.
-    pub(in crate::core) fn of_body(body: Arc<Skeleton>, until: Timestamp) -> Self {
-        Self {
-            until,
-            window: 0,
-            estimate: Arc::new(BodyEstimator::of_another_take(&body)),
-            skeleton: Some(body),
-            motion: None,
-        }
+    /// The state of a performer of whom only the body is known, with the keypoint offsets of this detector or the bones
+    /// alone, from a time on.
+    pub(in crate::core) fn of_body(
+        body: Arc<Skeleton>,
+        offsets_are_known: bool,
+        until: Timestamp,
+    ) -> Self {
+        let estimate = match offsets_are_known {
+            true => BodyEstimator::check(),
+            false => BodyEstimator::of_another_take(&body),
+        };
+        Self { until, window: 0, estimate: Arc::new(estimate), skeleton: Some(body), motion: None }
     }
 
     /// The body once its estimate is complete, or if it was given.

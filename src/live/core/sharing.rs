@@ -195,7 +195,8 @@ impl Core {
         if let (Some(body), Some(stage)) = (state.known_body(), &mut self.stage)
             && performer.0 < self.performers.len()
         {
-            stage.know_body(performer, Arc::clone(body));
+            let offsets_are_known = state.estimate.knows_offsets();
+            stage.know_body(performer, Arc::clone(body), offsets_are_known);
         }
     }
 

@@ -1,5 +1,6 @@
 //! A WebSocket to which Foxglove and Lichtblick connect.
 
+use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::Arc;
@@ -144,7 +145,8 @@ fn pass_on(
     let (out, mut samples) = channel::<Sample>(WAITING);
     let stage = &live.topics.stage;
     let (mut guards, mut shown) = (Vec::new(), Scene::default());
-    let mut rig: Option<(&str, Sample)> = None;
+    // Calibration and bodies, by topic.
+    let mut kept: BTreeMap<Arc<str>, (&str, Sample)> = BTreeMap::new();
     let dropped = Arc::new(AtomicUsize::new(0));
     for pattern in PATTERNS {
         let (out, dropped) = (out.clone(), Arc::clone(&dropped));
@@ -176,10 +178,10 @@ fn pass_on(
         };
         pass(schema, &sample);
         // Each time the cameras are, for clients that came later.
-        if let Message::Rig(_) = message {
-            rig = Some((schema, sample));
-        } else if let Some((schema, rig)) = rig.as_ref().filter(|_| shown.next != cameras) {
-            pass(schema, rig);
+        if let Message::Rig(_) | Message::Skeleton(_) = message {
+            kept.insert(Arc::clone(topic), (schema, sample));
+        } else if shown.next != cameras {
+            kept.values().for_each(|(schema, sample)| pass(schema, sample));
         }
     }
     let dropped = dropped.load(Ordering::Relaxed);
