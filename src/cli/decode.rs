@@ -21,8 +21,8 @@ use crate::io::wire::{self, Topic, Topics};
 /// Decode the poses of a recording from its keyframes alone.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-A keyframe has about 40 numbers per window. This keyframe, the previous one and the weights of the
-manifold give every pose of the window exactly as solved, without the standard deviations.
+A keyframe has about 40 numbers. This keyframe, the previous one and the weights of the manifold give
+every pose between them exactly as solved, without the standard deviations.
 
 Exit code 6: a keyframe and the poses after it are missing, or the recording is damaged.
 

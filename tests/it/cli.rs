@@ -1069,6 +1069,25 @@ fn poses_carry_the_timecode_of_the_house() {
 }
 
 #[test]
+fn keyframes_give_the_poses_of_fast_cameras_too() {
+    let place = Place::new();
+    place.done("synth --out fast.mcap --seconds 2 --fps 120 --noise clean");
+    place.done("solve fast.mcap --out out");
+    place.done("decode out/poses.mcap --out decoded.mcap");
+    let poses = |file: &str| -> Vec<(i64, Vec<f32>)> {
+        let mut reader = Reader::open(place.path(file)).unwrap();
+        let messages = std::iter::from_fn(|| reader.next()).map(|entry| entry.unwrap().message);
+        let poses = messages.filter_map(|message| match message {
+            Message::Pose(pose) => Some((pose.capture_time_ns, pose.joint_positions_m)),
+            _ => None,
+        });
+        poses.collect()
+    };
+    let (solved, decoded) = (poses("out/poses.mcap"), poses("decoded.mcap"));
+    assert!(solved.len() > 230 && solved == decoded, "{} {}", solved.len(), decoded.len());
+}
+
+#[test]
 fn who_is_away_for_a_while_is_no_failure() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 150, |detections| {

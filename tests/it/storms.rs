@@ -103,6 +103,7 @@ fn solved(job: &Job) -> Solution {
         }
         Task::Track { coasted, .. } => Outcome::Tracked(Box::new(Tracked {
             keyframes: job.keyframe_times.iter().copied().map(still).collect(),
+            between: Vec::new(),
             poses: vec![Pose::rest(); job.pose_times.len()],
             deviations: None,
             newest: Pose::rest(),

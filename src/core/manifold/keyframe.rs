@@ -86,6 +86,9 @@ impl StampedKeyframe {
         }
         let from = &before.filter(|before| before.capture == self.start)?.keyframe;
         let at = |capture: Timestamp| {
+            if capture == self.capture {
+                return self.stamped(capture, decoder.pose(&self.keyframe));
+            }
             let s = capture.fraction(self.start, self.capture);
             let keyframe = self.interpolation.keyframe(from, &self.keyframe, s);
             self.stamped(capture, decoder.pose(&keyframe))

@@ -119,8 +119,10 @@ impl Tracker {
         self.publish_poses(window, &tracked, state);
         let (done, ahead): (Vec<_>, Vec<_>) =
             tracked.keyframes.into_iter().partition(|at| at.capture <= window.publish);
+        let mut path: Vec<&TimedKeyframe> = done.iter().chain(&tracked.between).collect();
+        path.sort_by_key(|at| at.capture);
         let mut start = window.start;
-        for at in &done {
+        for at in path {
             self.publish_keyframe(start, at, state);
             start = at.capture;
         }

@@ -194,6 +194,8 @@ pub struct ProvisionalFit {
 pub struct Tracked {
     /// The keyframes after its start, with those of the look-ahead.
     pub keyframes: Vec<TimedKeyframe>,
+    /// Keyframes of poses between them, which are put out, but not solved further.
+    pub between: Vec<TimedKeyframe>,
     /// Poses at the job's times.
     pub poses: Vec<Pose>,
     /// The standard deviations of the joint centres at the job's `publish`.

@@ -56,7 +56,10 @@ impl Solver {
         let keyframes = self.correct(job, points, known, keyframes, &observations);
         let keyframes = self.blend(job, known, keyframes);
         let solved = Known { ahead: &keyframes, ..known };
-        let (residuals, unfollowed, poses) = self.judge(job, points, solved, &observations);
+        let between = self.between(job, solved);
+        let path = in_order(&keyframes, &between);
+        let (residuals, unfollowed, poses) =
+            self.judge(job, points, Known { ahead: &path, ..known }, &observations);
         let verdict = verdict(&self.config.gate, &keyframes, &residuals);
         let is_estimating = matches!(verdict, Verdict::Tracked)
             && self.config.body_windows > 0
@@ -70,7 +73,24 @@ impl Solver {
             .flatten();
         let tracked = tracked(solved, poses, Some(summary), residuals, verdict);
         let estimator = estimator.map(Arc::new);
-        Outcome::Tracked(Box::new(Tracked { estimator, unfollowed, deviations, ..tracked }))
+        Outcome::Tracked(Box::new(Tracked {
+            between,
+            estimator,
+            unfollowed,
+            deviations,
+            ..tracked
+        }))
+    }
+
+    /// The keyframes at the times of poses between solved ones, on a smooth path. None if the path between keyframes is a
+    /// part of the method.
+    fn between(&self, job: &Job, solved: Known) -> Vec<TimedKeyframe> {
+        let interpolation = self.config.cost.interpolation;
+        let times = job.pose_times.iter().filter(|_| self.config.keyframe_frames == 1);
+        let at = |&time: &Timestamp| {
+            Some(TimedKeyframe::new(time, solved.between(time, interpolation)?.quantised()))
+        };
+        times.filter_map(at).collect()
     }
 
     /// Adds corrections beside the manifold to solved keyframes.
@@ -222,7 +242,9 @@ impl Solver {
         };
         let solved = Known { ahead: &keyframes, ..known };
         let times = job.pose_times.iter().copied().filter(|time| *time >= known.past[0].capture);
-        let poses = times.clone().zip(self.poses_at(solved, times)).collect();
+        let path = in_order(&keyframes, &self.between(job, solved));
+        let path = Known { ahead: &path, ..known };
+        let poses = times.clone().zip(self.poses_at(path, times)).collect();
         Outcome::Provisional(Box::new(ProvisionalFit { keyframes, poses, hidden }))
     }
 
@@ -253,6 +275,14 @@ fn wanted_times(job: &Job) -> impl Iterator<Item = Timestamp> {
     job.pose_times.iter().copied().chain([job.end])
 }
 
+/// Keyframes in order of time, each time once.
+fn in_order(keyframes: &[TimedKeyframe], between: &[TimedKeyframe]) -> Vec<TimedKeyframe> {
+    let mut all = [keyframes, between].concat();
+    all.sort_by_key(|at| at.capture);
+    all.dedup_by_key(|at| at.capture);
+    all
+}
+
 /// A window with its poses at [`wanted_times`].
 fn tracked(
     solved: Known,
@@ -263,12 +293,13 @@ fn tracked(
 ) -> Tracked {
     let keyframes = solved.ahead.to_vec();
     let newest = poses.pop().unwrap_or_else(Pose::rest);
-    let (deviations, unfollowed, estimator) = (None, Vec::new(), None);
+    let (deviations, unfollowed, estimator, between) = (None, Vec::new(), None, Vec::new());
     Tracked {
         newest,
         poses,
         deviations,
         keyframes,
+        between,
         summary,
         residuals,
         unfollowed,
