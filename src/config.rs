@@ -119,19 +119,19 @@ impl Config {
     /// Reads a file; missing keys keep their defaults.
     ///
     /// # Errors
-    /// An unreadable file, unknown keys, values of the wrong type or out of range.
+    /// An unreadable file, unknown keys, values of the wrong type or out of range, settings that do not fit each other.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        Self::load_apart(path)?.fitting(path)
+        Self::load_partial(path)?.without_conflict(path)
     }
 
-    /// Reads a file whose settings need not fit each other, see [`Config::unfit`].
+    /// Reads a file that arguments may complete: there may be a [`Config::conflict`].
     ///
     /// # Errors
-    /// As [`Config::load`].
-    pub fn load_apart(path: &Path) -> Result<Self, ConfigError> {
+    /// As [`Config::load`], but for the conflict.
+    pub fn load_partial(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ConfigError::Unreadable { path: path.into(), source })?;
-        Self::parse_apart(&text, path)
+        Self::parse_partial(&text, path)
     }
 
     /// Reads the text of a file; `path` is named in errors.
@@ -139,17 +139,17 @@ impl Config {
     /// # Errors
     /// As [`Config::load`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        Self::parse_apart(text, path)?.fitting(path)
+        Self::parse_partial(text, path)?.without_conflict(path)
     }
 
-    fn fitting(self, path: &Path) -> Result<Self, ConfigError> {
-        match self.unfit() {
+    fn without_conflict(self, path: &Path) -> Result<Self, ConfigError> {
+        match self.conflict() {
             Some(reason) => Err(ConfigError::Together { path: path.into(), reason }),
             None => Ok(self),
         }
     }
 
-    fn parse_apart(text: &str, path: &Path) -> Result<Self, ConfigError> {
+    fn parse_partial(text: &str, path: &Path) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text).map_err(|error| {
             let line = error.span().map_or(1, |span| line_at(text, span.start));
             let reason = error.message().replace('\n', " ");
@@ -181,7 +181,7 @@ impl Config {
     }
 
     /// Settings that do not fit each other, and what would fit.
-    pub fn unfit(&self) -> Option<&'static str> {
+    pub fn conflict(&self) -> Option<&'static str> {
         let Self { stage, node, .. } = self;
         let reason = match stage.several() {
             false if node.solver => {
@@ -201,13 +201,13 @@ impl Config {
             false if !stage.solve => {
                 "[stage] solve = false needs several performers; set [stage] performers"
             }
-            _ => return self.unfit_people(),
+            _ => return self.conflict_of_people(),
         };
         Some(reason)
     }
 
     /// Settings of the people who are solved that do not fit each other, and what would fit.
-    pub fn unfit_people(&self) -> Option<&'static str> {
+    pub fn conflict_of_people(&self) -> Option<&'static str> {
         let stage::Config { names, bodies, only, .. } = &self.stage;
         if self.stage.chooses() && !self.stage.several() {
             return Some(

@@ -243,7 +243,7 @@ fn alone(presence: Presence, standby: bool, stop: &Stop) -> Result<Option<Presen
 
 /// The settings, overridden by the arguments.
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
-    let config = changed(arguments.config.as_deref(), Config::unfit, |config| {
+    let config = changed(arguments.config.as_deref(), Config::conflict, |config| {
         if let Some(bus) = arguments.bus {
             config.bus.kind = bus.kind();
         }

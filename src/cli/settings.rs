@@ -5,17 +5,21 @@ use std::path::Path;
 use super::failure::{Exit, Failure};
 use crate::config::{Config, ConfigError};
 
-/// The settings of a file, or the defaults, after a change by arguments. What is `unfit` then is an error.
+/// The settings of a file, or the defaults, after a change by arguments.
+///
+/// # Errors
+/// The file cannot be used, the change fails, or there is a `conflict` after it.
 pub(super) fn changed(
     path: Option<&Path>,
-    unfit: fn(&Config) -> Option<&'static str>,
+    conflict: fn(&Config) -> Option<&'static str>,
     change: impl FnOnce(&mut Config) -> Result<(), Failure>,
 ) -> Result<Config, Failure> {
-    let mut config = path.map(Config::load_apart).transpose()?.unwrap_or_default();
-    let before = unfit(&config);
+    let mut config = path.map(Config::load_partial).transpose()?.unwrap_or_default();
+    let before = conflict(&config);
     change(&mut config)?;
-    match (unfit(&config), path) {
+    match (conflict(&config), path) {
         (None, _) => Ok(config),
+        // The file alone has it.
         (Some(reason), Some(path)) if before == Some(reason) => {
             Err(ConfigError::Together { path: path.into(), reason }.into())
         }

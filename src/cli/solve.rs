@@ -110,8 +110,9 @@ pub(super) struct Arguments {
     /// several files, that of each performer to the nearest.
     #[arg(long, value_name = "FILE", value_delimiter = ',')]
     reference: Vec<PathBuf>,
-    /// File with the markers of our points, for --reference. Lines below [points]: left_knee = ["LFLE", "LFME"]
-    /// is their middle. Default: by name, such as LKnee or left_knee.
+    /// TOML file that names the markers of each point for --reference. Below [points],
+    /// left_knee = ["LFLE", "LFME"] is the middle of two markers. Default: markers with names such as LKnee
+    /// or left_knee.
     #[arg(long, value_name = "TOML", requires = "reference")]
     markers: Option<PathBuf>,
     #[command(flatten)]
@@ -349,7 +350,7 @@ impl Prepared {
 }
 
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
-    changed(arguments.config.as_deref(), Config::unfit_people, |config| {
+    changed(arguments.config.as_deref(), Config::conflict_of_people, |config| {
         if let Some(fps) = arguments.fps {
             config.tracker.frame_rate_hz = frame_rate_option(fps)?;
         }

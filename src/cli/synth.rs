@@ -52,8 +52,8 @@ pub(super) struct Arguments {
     /// Spread of the cameras' shutter times as a share of the frame period; 0 is genlock.
     #[arg(long, default_value_t = 0.0)]
     stagger: f64,
-    /// Time from the first row of an image to its last, milliseconds, as of a rolling shutter. The capture time
-    /// is that of the middle row.
+    /// Readout time of a rolling shutter, from the first row of an image to the last, milliseconds. The capture
+    /// time is that of the middle row.
     #[arg(long, value_name = "MS", default_value_t = 0.0, allow_negative_numbers = true)]
     readout: f64,
     /// Number of performers, 1 to 32. Several cross the middle of the floor together, again and again,

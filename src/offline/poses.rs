@@ -209,13 +209,13 @@ impl Poses {
         for held_out in &mut comparisons.held_out {
             held_out.add_pose(capture, pose.usable(), skeleton);
         }
-        if let Some(clock) = comparisons.clock.filter(|_| !comparisons.references.is_empty()) {
-            let posture = pose.usable().map(|pose| pose.posture(skeleton));
+        if let (Some(clock), Some(pose)) = (comparisons.clock, pose.usable())
+            && !comparisons.references.is_empty()
+        {
+            let posture = pose.posture(skeleton);
             let frame = clock.frame_at(capture, body.fps);
-            for (reference, posture) in
-                comparisons.references.iter_mut().zip(posture.iter().cycle())
-            {
-                reference.add(frame, body.fps, &(&**skeleton, posture));
+            for reference in &mut comparisons.references {
+                reference.add(frame, body.fps, &(&**skeleton, &posture));
             }
         }
         self.shown.push(pose.clone());

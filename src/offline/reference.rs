@@ -53,33 +53,27 @@ pub struct Reference {
 /// How trajectories of another system are moved to the poses.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReferenceFit {
-    /// Seconds that are added to the time of a pose.
-    pub seconds: f64,
-    /// Rotation of their places, by rows of the matrix; then `way` is added.
+    /// Seconds from the time of a pose to that of its markers.
+    pub shift_s: f64,
+    /// Rotation from the world of the trajectories to that of the recording, by rows.
     #[serde(serialize_with = "rows")]
-    pub turn: Matrix3<f64>,
-    /// Metres.
-    #[serde(serialize_with = "metres")]
-    pub way: Vector3<f64>,
+    pub rotation: Matrix3<f64>,
+    /// What is added after the rotation, metres.
+    #[serde(serialize_with = "entries")]
+    pub translation_m: Vector3<f64>,
 }
 
-impl Default for ReferenceFit {
-    fn default() -> Self {
-        Self { seconds: 0.0, turn: Matrix3::identity(), way: Vector3::zeros() }
-    }
+fn rows<S: Serializer>(matrix: &Matrix3<f64>, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_seq(<[[f64; 3]; 3]>::from(matrix.transpose()))
 }
 
-fn rows<S: Serializer>(turn: &Matrix3<f64>, to: S) -> Result<S::Ok, S::Error> {
-    to.collect_seq(<[[f64; 3]; 3]>::from(turn.transpose()))
-}
-
-fn metres<S: Serializer>(way: &Vector3<f64>, to: S) -> Result<S::Ok, S::Error> {
-    to.collect_seq(way)
+fn entries<S: Serializer>(vector: &Vector3<f64>, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_seq(vector)
 }
 
 impl ReferenceFit {
-    /// The rotation and translation that take the second places to the first ones, by least squares; `None` for fewer
-    /// than three.
+    /// The rotation and the translation that take the second places to the first ones, by least squares, without a shift
+    /// in time; `None` for fewer than three places.
     ///
     /// Source: Kabsch 1976.
     fn of(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Self> {
@@ -94,33 +88,33 @@ impl ReferenceFit {
         let svd = both.svd(true, true);
         let (u, v) = (svd.u?, svd.v_t?);
         let sign = Vector3::new(1.0, 1.0, (u * v).determinant().signum());
-        let turn = u * Matrix3::from_diagonal(&sign) * v;
-        Some(Self { seconds: 0.0, turn, way: to - turn * from })
+        let rotation = u * Matrix3::from_diagonal(&sign) * v;
+        Some(Self { shift_s: 0.0, rotation, translation_m: to - rotation * from })
     }
 
-    fn of_place(&self, at: &Vector3<f64>) -> Vector3<f64> {
-        self.turn * at + self.way
+    fn moved(&self, place: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation * place + self.translation_m
     }
 }
 
 /// Above this mean distance a reference is hardly of the recording, millimetres.
 const UNFIT_MM: f64 = 250.0;
-/// Number of bodies by which trajectories are fitted.
+/// Most bodies by which trajectories are fitted.
 const SAMPLED: usize = 200;
-/// The first steps of the search for the time of trajectories are not shorter, seconds.
+/// First step of the search for the shift in time, seconds; or one row, if that is longer.
 const STEP_S: f64 = 0.015;
 /// Rates that differ by less than this part are the same: one of them is nominal.
 const SAME_RATE: f64 = 0.01;
-/// A pose this part of a row before the first row or after the last one is compared with it.
+/// A pose this part of a row before the first row is compared with the first row; the last row likewise.
 const NEAR: f64 = 0.25;
 
 impl Reference {
-    /// A note if a reference obviously does not fit; `None` is one without a row in the recording, or, if it was
-    /// `aligned`, one that could not be.
+    /// A note if a reference obviously does not fit. `found` is `None` if no row has the time of a pose, or if the
+    /// reference should be `aligned` and could not be.
     pub fn note(found: Option<&Self>, aligned: bool) -> Option<String> {
         let reason = match found {
             None if aligned => {
-                "at no shift half of the poses have three markers or more".to_owned()
+                "no shift in time gives markers to more than half of the poses".to_owned()
             }
             None => "no row has the time of a pose".to_owned(),
             Some(found) if found.mean_mm > UNFIT_MM => {
@@ -141,11 +135,13 @@ impl Reference {
 /// Row i of the trajectories is frame `first_frame` + i of the recording, or the frame of that time if the rates differ.
 /// Between rows the markers are interpolated.
 pub struct ReferenceComparison {
+    /// Frame rate of the rows, hertz.
     rate: f64,
-    first: f64,
+    /// Number of row 0's frame at that rate.
+    first_frame: f64,
     /// The compared points.
     rows: Vec<MarkerPositions>,
-    fit: ReferenceFit,
+    fit: Option<ReferenceFit>,
     distances: MarkerDistances,
 }
 
@@ -156,63 +152,67 @@ impl ReferenceComparison {
         let row = |row: &Vec<_>| columns.map(|column| row.get(column?).copied().flatten());
         Self {
             rate: reference.frame_rate,
-            first: reference.first_frame,
+            first_frame: reference.first_frame,
             rows: reference.rows.iter().map(row).collect(),
-            fit: ReferenceFit::default(),
+            fit: None,
             distances: MarkerDistances::default(),
         }
     }
 
-    /// Shifts the trajectories in time, and turns and moves them, to where they are nearest to the bodies: they are of
-    /// another system. `bodies` are in order, with their frame numbers at `fps`, and should move. No shift is tried that
-    /// leaves half of them without markers. Returns whether there is a fit.
+    /// Finds how to shift the trajectories in time and to move them, so that they are nearest to the bodies: they are of
+    /// another system. `bodies` are in order, with their frame numbers at `fps`, and should move. At a shift with markers
+    /// for half of them or fewer there is no fit. Returns whether one was found.
     pub fn fit(&mut self, fps: f64, bodies: &[(f64, MarkerPositions)]) -> bool {
         let every = bodies.len().div_ceil(SAMPLED).max(1);
-        let sampled: Vec<_> = bodies.iter().step_by(every).collect();
-        let sampled: Vec<_> =
-            sampled.iter().map(|(frame, at)| (self.row_of(*frame, fps), at)).collect();
-        let (Some((first, _)), Some((last, _))) = (sampled.first(), sampled.last()) else {
-            return false;
-        };
-        let mut best = (f64::INFINITY, 0.0, None);
-        let mut attempt = |shift: f64| {
-            let (mut pairs, mut seen) = (Vec::new(), 0);
-            for (row, body) in &sampled {
-                let Some(markers) = self.at(row + shift) else { continue };
-                let known = pairs.len();
-                pairs.extend(body.iter().zip(&markers).filter_map(|(a, b)| (*a).zip(*b)));
-                seen += usize::from(pairs.len() > known);
-            }
-            let found = ReferenceFit::of(&pairs).filter(|_| 2 * seen > sampled.len());
-            if let Some(fit) = found {
-                let distances = pairs.iter().map(|(a, b)| (a - fit.of_place(b)).norm());
-                let mean = distances.sum::<f64>() / pairs.len() as f64;
-                if mean < best.0 {
-                    best = (mean, shift, Some(fit));
-                }
-            }
-            best.1
+        let bodies: Vec<(f64, &MarkerPositions)> = bodies
+            .iter()
+            .step_by(every)
+            .map(|(frame, at)| (self.row_of(*frame, fps), at))
+            .collect();
+        self.fit = self.best_fit(&bodies);
+        self.fit.is_some()
+    }
+
+    /// The same for bodies in order of their rows.
+    fn best_fit(&self, bodies: &[(f64, &MarkerPositions)]) -> Option<ReferenceFit> {
+        let nearest = |shifts: &mut dyn Iterator<Item = f64>| {
+            let fits = shifts.filter_map(|rows| Some((rows, self.fit_at(rows, bodies)?)));
+            fits.min_by(|(_, (a, _)), (_, (b, _))| a.total_cmp(b))
         };
         let step = (STEP_S * self.rate).floor().max(1.0);
-        // At these shifts half of the bodies are outside.
-        let middle = (first + last) / 2.0;
-        let count = (self.rows.len() as f64 / step).ceil() as usize;
-        (0..=count).for_each(|k| _ = attempt(step * k as f64 - middle));
+        // At the first and the last shift half of the bodies are outside.
+        let middle = (bodies.first()?.0 + bodies.last()?.0) / 2.0;
+        let steps = (self.rows.len() as f64 / step).ceil() as usize;
+        let mut best = nearest(&mut (0..=steps).map(|k| step * k as f64 - middle))?;
         for part in [0.1, 0.01, 0.001] {
-            let around = attempt(0.0);
-            (-10..=10).for_each(|k| _ = attempt(around + step * part * f64::from(k)));
+            let around = best.0;
+            best = nearest(&mut (-10..=10).map(|k| around + step * part * f64::from(k)))?;
         }
-        let (_, shift, fit) = best;
-        let Some(fit) = fit else { return false };
-        self.fit = ReferenceFit { seconds: shift / self.rate, ..fit };
-        true
+        let (rows, (_, fit)) = best;
+        Some(ReferenceFit { shift_s: rows / self.rate, ..fit })
+    }
+
+    /// The fit at a shift of so many rows, and its mean distance, metres.
+    fn fit_at(&self, rows: f64, bodies: &[(f64, &MarkerPositions)]) -> Option<(f64, ReferenceFit)> {
+        let (mut pairs, mut seen) = (Vec::new(), 0);
+        for (row, body) in bodies {
+            let Some(markers) = self.at(row + rows) else { continue };
+            let known = pairs.len();
+            pairs.extend(body.iter().zip(&markers).filter_map(|(a, b)| (*a).zip(*b)));
+            seen += usize::from(pairs.len() > known);
+        }
+        let fit = ReferenceFit::of(&pairs).filter(|_| 2 * seen > bodies.len())?;
+        let distances = pairs.iter().map(|(body, marker)| (body - fit.moved(marker)).norm());
+        Some((distances.sum::<f64>() / pairs.len() as f64, fit))
     }
 
     /// Adds the body in a frame of the recording, at its rate.
     pub fn add(&mut self, frame: f64, fps: f64, body: &impl Located) {
-        let row = self.row_of(frame, fps) + self.fit.seconds * self.rate;
-        let Some(markers) = self.at(row) else { return };
-        let markers = markers.map(|at| at.map(|at| self.fit.of_place(&at)));
+        let shift = self.fit.as_ref().map_or(0.0, |fit| fit.shift_s * self.rate);
+        let Some(mut markers) = self.at(self.row_of(frame, fps) + shift) else { return };
+        if let Some(fit) = &self.fit {
+            markers = markers.map(|place| place.map(|place| fit.moved(&place)));
+        }
         self.distances.add(frame.round().max(0.0) as u64, &positions(body), &markers);
     }
 
@@ -220,7 +220,7 @@ impl ReferenceComparison {
     fn row_of(&self, frame: f64, fps: f64) -> f64 {
         let ratio = self.rate / fps;
         let ratio = if (ratio - 1.0).abs() < SAME_RATE { 1.0 } else { ratio };
-        frame * ratio - self.first
+        frame * ratio - self.first_frame
     }
 
     /// The markers between two rows; `None` before the first and after the last.
@@ -251,7 +251,7 @@ impl ReferenceComparison {
             points_mm: (distance.per_keypoint_mm.into_iter())
                 .map(|(point, mm)| (point.to_string().replace(' ', "_"), mm))
                 .collect(),
-            fit: (self.fit != ReferenceFit::default()).then(|| self.fit.clone()),
+            fit: self.fit.clone(),
         })
     }
 }
@@ -318,11 +318,11 @@ mod tests {
             let (y, z) = (0.1 * index as f64, 0.2 * (index as f64).cos() + 0.5 * swing);
             Vector3::new(seconds + swing, y, z)
         };
-        let turn = so3::exp(&Vector3::new(0.4, -2.0, 0.3));
-        let way = Vector3::new(3.0, -1.0, 0.5);
+        let rotation = so3::exp(&Vector3::new(0.4, -2.0, 0.3));
+        let translation = Vector3::new(3.0, -1.0, 0.5);
         let row = |row: i32| {
             let at = |index| point(f64::from(row) / 200.0 - 1.234, index);
-            let place = |index| Some(turn.transpose() * (at(index) - way));
+            let place = |index| Some(rotation.transpose() * (at(index) - translation));
             (0..COMPARED.len()).map(place).collect()
         };
         let names = COMPARED.map(|point| point.to_string());
@@ -334,9 +334,10 @@ mod tests {
         let bodies: Vec<(f64, MarkerPositions)> = (0..150).map(body).collect();
         let mut comparison = ReferenceComparison::new(&reference);
         assert!(comparison.fit(60.0, &bodies));
-        let fit = &comparison.fit;
-        assert!((fit.seconds - 1.234).abs() < 1e-4, "{fit:?}");
-        assert!((fit.turn - turn).norm() < 1e-3 && (fit.way - way).norm() < 2e-3, "{fit:?}");
+        let fit = comparison.fit.unwrap();
+        assert!((fit.shift_s - 1.234).abs() < 1e-4, "{fit:?}");
+        assert!((fit.rotation - rotation).norm() < 1e-3, "{fit:?}");
+        assert!((fit.translation_m - translation).norm() < 2e-3, "{fit:?}");
         // Without common frames there is no fit.
         assert!(!ReferenceComparison::new(&reference).fit(60.0, &[]));
         let empty = trajectories(200.0, 0.0, &names, Vec::new());

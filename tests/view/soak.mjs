@@ -1,5 +1,5 @@
 // The live page over ten minutes: npm run soak. Environment: PERFORMERS (1), CAMERAS (4), SECONDS (600), PAGES (1),
-// SOCKETS (0: pages of other computers, that draw nothing here), and those of browser.mjs. It prints figures; in ten
+// SOCKETS (0; connections that draw nothing, as pages on other computers), and those of browser.mjs. It prints figures; in ten
 // minutes or more it fails if the memory of the page grows.
 
 import assert from "node:assert/strict";

@@ -89,12 +89,13 @@ pub(super) struct Recording {
     /// Report the distance to these marker trajectories (TRC with y up, or C3D; frames as in the recording).
     #[arg(long, value_name = "FILE")]
     pub(super) reference: Option<PathBuf>,
-    /// File with the markers of our points, for --reference. Lines below [points]: left_knee = ["LFLE", "LFME"]
-    /// is their middle. Default: by name, such as LKnee or left_knee.
+    /// TOML file that names the markers of each point for --reference. Below [points],
+    /// left_knee = ["LFLE", "LFME"] is the middle of two markers. Default: markers with names such as LKnee
+    /// or left_knee.
     #[arg(long, value_name = "TOML", requires = "reference")]
     pub(super) markers: Option<PathBuf>,
-    /// The reference is of another system: shift it in time, turn it and move it to where it is nearest, for each
-    /// method anew.
+    /// Fit the reference to the poses of each method first, in time, rotation and translation. For a reference
+    /// of another system.
     #[arg(long, requires = "reference")]
     pub(super) align: bool,
     #[command(flatten)]

@@ -45,6 +45,17 @@ impl TimedKeyframe {
     }
 }
 
+/// The keyframes of both in order of time; each time is there once.
+pub(in crate::core) fn in_order(
+    some: &[TimedKeyframe],
+    others: &[TimedKeyframe],
+) -> Vec<TimedKeyframe> {
+    let mut all = [some, others].concat();
+    all.sort_by_key(|at| at.capture);
+    all.dedup_by_key(|at| at.capture);
+    all
+}
+
 /// A final keyframe, with all data to decode the poses between it and the keyframe before.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StampedKeyframe {
@@ -75,8 +86,8 @@ impl StampedKeyframe {
     }
 
     /// The poses on the grid after the keyframe `before`, up to this one: pose(t) = decoder(path(s))
-    /// with s = (t - start) / (capture - start). At the start of a path, the one pose at `capture`;
-    /// `before` is not used.
+    /// with s = (t - start) / (capture - start); the pose at `capture` is that of this keyframe. At the start of a
+    /// path, the one pose at `capture`; `before` is not used.
     ///
     /// `decoder` must have the weights of the solve. `None` if `before` is not the keyframe at
     /// `start`.

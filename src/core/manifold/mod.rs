@@ -14,6 +14,7 @@ pub use decoder::{Decoder, EMBEDDED};
 pub use interpolate::Interpolation;
 #[doc(hidden)]
 pub use interpolate::LatentTangent;
+pub(in crate::core) use keyframe::in_order;
 pub use keyframe::{Keyframe, StampedKeyframe, TimedKeyframe};
 pub use weights::WeightsError;
 

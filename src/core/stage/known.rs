@@ -30,6 +30,11 @@ pub struct Known {
 }
 
 impl Known {
+    /// The body, and whether its keypoint offsets are known.
+    pub(super) fn saved_body(&self) -> Option<(Arc<Skeleton>, bool)> {
+        Some((self.body.clone()?, self.offsets_are_known))
+    }
+
     /// Whether it is known where the performer was last. Otherwise it was in another place, or on another day.
     pub fn was_here(&self) -> bool {
         self.points.iter().any(Option::is_some)

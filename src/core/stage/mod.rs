@@ -102,8 +102,8 @@ pub struct Stage {
     template: Tracker,
     /// Known bodies, by performer.
     bodies: Vec<Option<Arc<Skeleton>>>,
-    /// Bodies of those who have not come yet, by performer, and whether their keypoint offsets are known. If this node does
-    /// not solve: of all.
+    /// Bodies by performer, and whether their keypoint offsets are known: of those who have not come yet or, without
+    /// solving, of all.
     saved: Vec<Option<(Arc<Skeleton>, bool)>>,
     trackers: Vec<Tracker>,
     /// With several performers.
@@ -232,8 +232,7 @@ impl Stage {
         self.saved.resize(count, None);
         if !self.is_solving {
             for one in known {
-                self.saved[one.performer.0] =
-                    one.body.clone().map(|body| (body, one.offsets_are_known));
+                self.saved[one.performer.0] = one.saved_body();
             }
             return self;
         }
@@ -247,8 +246,7 @@ impl Stage {
                     new.with_known_body(one.body.clone(), one.offsets_are_known)
                 }
                 (None, one) => {
-                    let body = |one: &Known| Some((one.body.clone()?, one.offsets_are_known));
-                    self.saved[number] = one.and_then(body);
+                    self.saved[number] = one.and_then(Known::saved_body);
                     new
                 }
             };
@@ -265,12 +263,11 @@ impl Stage {
         let ours = ours.map(|(one, _)| Known { performer: PerformerId(one), ..Known::default() });
         let known = self.crowd.as_ref().map_or_else(|| ours.collect(), Crowd::known);
         let with_body = |one: Known| {
-            let tracker = self.trackers.get(one.performer.0).filter(|t| t.known_body().is_some());
-            let saved = self.saved.get(one.performer.0).and_then(Option::as_ref);
-            let tracked = tracker.and_then(|tracker| {
+            let tracked = self.trackers.get(one.performer.0).and_then(|tracker| {
                 Some((tracker.known_body()?.clone(), tracker.body_estimate().knows_offsets()))
             });
-            let (body, offsets_are_known) = tracked.or(saved.cloned()).unzip();
+            let saved = || self.saved.get(one.performer.0)?.clone();
+            let (body, offsets_are_known) = tracked.or_else(saved).unzip();
             Known { body, offsets_are_known: offsets_are_known.unwrap_or(false), ..one }
         };
         known.into_iter().map(with_body).collect()

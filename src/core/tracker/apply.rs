@@ -11,7 +11,7 @@ use super::port::{Output, WindowReport};
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
 use crate::core::body::{Pose, Skeleton, TrackingState};
-use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe};
+use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe, in_order};
 use crate::core::time::Timestamp;
 
 /// A body is checked if the detections fit it this many times worse than at first.
@@ -119,11 +119,9 @@ impl Tracker {
         self.publish_poses(window, &tracked, state);
         let (done, ahead): (Vec<_>, Vec<_>) =
             tracked.keyframes.into_iter().partition(|at| at.capture <= window.publish);
-        let mut path: Vec<&TimedKeyframe> = done.iter().chain(&tracked.between).collect();
-        path.sort_by_key(|at| at.capture);
         let mut start = window.start;
-        for at in path {
-            self.publish_keyframe(start, at, state);
+        for at in in_order(&done, &tracked.between) {
+            self.publish_keyframe(start, &at, state);
             start = at.capture;
         }
         let is_fitted = !tracked.residuals.is_empty();

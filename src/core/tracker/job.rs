@@ -194,7 +194,7 @@ pub struct ProvisionalFit {
 pub struct Tracked {
     /// The keyframes after its start, with those of the look-ahead.
     pub keyframes: Vec<TimedKeyframe>,
-    /// Keyframes of poses between them, which are put out, but not solved further.
+    /// Keyframes between them, at the times of poses. They are put out, but the next window does not have them.
     pub between: Vec<TimedKeyframe>,
     /// Poses at the job's times.
     pub poses: Vec<Pose>,

@@ -41,8 +41,7 @@ pub use trajectories::{MarkerMap, Trajectories, TrajectoryError};
 use crate::core::camera::CameraError;
 use crate::core::detections::KeypointFormat;
 
-/// Reads the trajectories of a TRC or a C3D file; which of them, is seen in its content. With a map, its points are the
-/// markers.
+/// Reads a TRC or a C3D file; its content tells which. With a map, the trajectories are those of its points.
 ///
 /// # Errors
 /// The file is neither, is broken, or no marker is a point of ours.

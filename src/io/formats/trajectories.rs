@@ -20,7 +20,7 @@ pub enum TrajectoryError {
     #[error("{path}: {source}")]
     InFile { path: PathBuf, source: Box<TrajectoryError> },
     #[error(
-        "neither a C3D nor a TRC file, whose line 1 begins with PathFileType; give one of these"
+        "no C3D file, and no TRC file: line 1 does not begin with PathFileType; give one of these"
     )]
     Unknown,
     #[error("line {line} is missing; a TRC file has {what} there")]
@@ -33,15 +33,15 @@ pub enum TrajectoryError {
     NotANumber { line: usize, cell: String },
     #[error("line {line}: {found} cells, but {markers} markers need at most {most}")]
     TooManyCells { line: usize, found: usize, markers: usize, most: usize },
-    #[error("the C3D file has no {what}, or is cut off before; export it again")]
+    #[error("the C3D file has no {what}, or it is cut off; export it again")]
     NotInC3d { what: &'static str },
-    #[error("the C3D file is of processor {found}, which is unknown; export it again")]
+    #[error("processor {found} of the C3D file is unknown; export it for 84, 85 or 86")]
     Processor { found: u8 },
     #[error("the frame rate is {rate}, but must be 1 to 10000 Hz")]
     Rate { rate: f64 },
     #[error(
-        "no marker is a shoulder, elbow, wrist, hip, knee or ankle by its name; there are {}; name their markers \
-         in a file for --markers", names.join(", ")
+        "no marker has the name of a shoulder, elbow, wrist, hip, knee or ankle; name the markers of these points in a \
+         file for --markers. The markers are {}", names.join(", ")
     )]
     NoPoint { names: Vec<String> },
     #[error("{what}")]

@@ -372,13 +372,12 @@ impl Writer {
 
 /// Sets every option that affects bytes, so that a new default cannot change them.
 fn options() -> WriteOptions {
-    WriteOptions::new()
+    WriteOptions::library(WriteOptions::new(), "bundlemocap")
         .compression(Some(Compression::Zstd))
         .compression_level(ZSTD_LEVEL)
         .compression_threads(0)
         .chunk_size(Some(CHUNK_BYTES))
         .profile("")
-        .library("bundlemocap")
 }
 
 fn write_error(path: &Path, error: McapError) -> RecordError {

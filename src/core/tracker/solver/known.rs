@@ -54,8 +54,8 @@ impl Known<'_> {
         Some(earlier.keyframe.clone())
     }
 
-    /// The keyframe at a time strictly between two keyframes that both have another neighbour, not much nearer than each
-    /// other: on the cubic through these four.
+    /// The keyframe at a time between two keyframes, on the cubic through these two and their other neighbours. `None` at a
+    /// keyframe, where a neighbour is missing, and where one is at less than half the distance in time of the two.
     ///
     /// Source: Barry and Goldman 1988, a Catmull-Rom spline by interpolation of interpolated values.
     pub(super) fn between(

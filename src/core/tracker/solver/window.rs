@@ -9,7 +9,7 @@ use crate::core::body::{BODY_COEFFICIENTS, BodyPoint, OffsetPrior, Pose, Skeleto
 use crate::core::cost::{
     self, CorrectionProblem, FrameObservations, PathKeyframe, PathProblem, Scene,
 };
-use crate::core::manifold::{Correction, Keyframe, TimedKeyframe};
+use crate::core::manifold::{Correction, Keyframe, TimedKeyframe, in_order};
 use crate::core::optimise::Summary;
 use crate::core::time::Timestamp;
 use crate::core::tracker::agreement::{Unfollowed, unfollowed};
@@ -82,15 +82,17 @@ impl Solver {
         }))
     }
 
-    /// The keyframes at the times of poses between solved ones, on a smooth path. None if the path between keyframes is a
-    /// part of the method.
+    /// Keyframes between the solved ones, at the times of poses, on a smooth path. None if the settings ask for fewer
+    /// keyframes than frames: then the path between them is a part of the method.
     fn between(&self, job: &Job, solved: Known) -> Vec<TimedKeyframe> {
+        if self.config.keyframe_frames > 1 {
+            return Vec::new();
+        }
         let interpolation = self.config.cost.interpolation;
-        let times = job.pose_times.iter().filter(|_| self.config.keyframe_frames == 1);
-        let at = |&time: &Timestamp| {
+        let keyframe = |&time: &Timestamp| {
             Some(TimedKeyframe::new(time, solved.between(time, interpolation)?.quantised()))
         };
-        times.filter_map(at).collect()
+        job.pose_times.iter().filter_map(keyframe).collect()
     }
 
     /// Adds corrections beside the manifold to solved keyframes.
@@ -273,14 +275,6 @@ impl Solver {
 /// The times of a window's poses: the final ones, then the newest.
 fn wanted_times(job: &Job) -> impl Iterator<Item = Timestamp> {
     job.pose_times.iter().copied().chain([job.end])
-}
-
-/// Keyframes in order of time, each time once.
-fn in_order(keyframes: &[TimedKeyframe], between: &[TimedKeyframe]) -> Vec<TimedKeyframe> {
-    let mut all = [keyframes, between].concat();
-    all.sort_by_key(|at| at.capture);
-    all.dedup_by_key(|at| at.capture);
-    all
 }
 
 /// A window with its poses at [`wanted_times`].

@@ -20,27 +20,21 @@ pub(in crate::io::formats) fn is_c3d(bytes: &[u8]) -> bool {
 
 /// Parses the bytes of a file. Its axis that is up, by `POINT:Y_SCREEN`, becomes y; without one it is z.
 pub(in crate::io::formats) fn parse(bytes: &[u8]) -> Result<Trajectories, TrajectoryError> {
-    let no = |what| TrajectoryError::NotInC3d { what };
     let start = BLOCK * usize::from(bytes[0].saturating_sub(1));
     let parameters = bytes.get(start..).filter(|bytes| bytes.len() > 4);
-    let parameters = parameters.ok_or(no("parameters"))?;
+    let parameters = parameters.ok_or(not_there("parameters"))?;
     let numbers = Numbers { processor: parameters[3] };
     if ![INTEL, DEC, MIPS].contains(&numbers.processor) {
         return Err(TrajectoryError::Processor { found: numbers.processor });
     }
-    let header = |at: usize| bytes.get(at..).and_then(|bytes| numbers.integer(bytes));
-    let header = |at: usize, what| header(at).map(|number| number as u16).ok_or(no(what));
-    let count = usize::from(header(2, "number of markers")?);
-    let analog = usize::from(header(4, "number of analog values")?);
-    let (first, last) = (header(6, "first frame")?, header(8, "last frame")?);
-    let data = BLOCK * usize::from(header(16, "place of the frames")?.saturating_sub(1));
-
-    let of_markers = group(parameters, &numbers, "POINT");
+    let layout = Layout::of(bytes, &numbers)?;
+    let trial = group(parameters, &numbers, "TRIAL");
+    let points = group(parameters, &numbers, "POINT");
     let float = |name: &str, what| {
-        let found = of_markers.get(name).and_then(|p| numbers.float(p.data));
-        found.map(f64::from).ok_or(no(what))
+        let found = points.get(name).and_then(|parameter| numbers.float(parameter.data));
+        found.map(f64::from).ok_or(not_there(what))
     };
-    let text = |name: &str| of_markers.get(name).and_then(|p| p.texts().next());
+    let text = |name: &str| points.get(name).and_then(|parameter| parameter.texts().next());
     let (scale, frame_rate) = (float("SCALE", "POINT:SCALE")?, float("RATE", "POINT:RATE")?);
     let units = text("UNITS").filter(|unit| !unit.is_empty()).unwrap_or_else(|| "mm".into());
     let unit: Unit =
@@ -49,46 +43,90 @@ pub(in crate::io::formats) fn parse(bytes: &[u8]) -> Result<Trajectories, Trajec
     let up: Up = up.and_then(|axis| axis.parse().ok()).unwrap_or_default();
     let turn = up.calibration_from_world().transpose() * unit.metres();
     // Those of more than 255 markers are in several parameters.
-    let more = (2..).map_while(|part| of_markers.get(&format!("LABELS{part}")));
-    let labels = of_markers.get("LABELS").into_iter().chain(more).flat_map(Parameter::texts);
-    let mut names: Vec<String> = labels.take(count).collect();
-    names.resize(count, String::new());
-
-    // A negative scale says that all numbers are floating point numbers, in the file's unit.
-    let (width, scale) = if scale < 0.0 { (4, 1.0) } else { (2, scale) };
-    let number = |bytes: &[u8], index: usize| {
-        let bytes = bytes.get(width * index..)?;
-        if width == 4 {
-            numbers.float(bytes).map(f64::from)
-        } else {
-            numbers.integer(bytes).map(f64::from)
-        }
-    };
-    let place = |bytes: &[u8]| {
-        let at = Vector3::new(number(bytes, 0)?, number(bytes, 1)?, number(bytes, 2)?) * scale;
-        // Some programs write zeros for places that are not known.
-        let is_known = at.iter().all(|c| c.is_finite()) && at != Vector3::zeros();
-        (is_known && number(bytes, 3)? >= 0.0).then(|| turn * at)
-    };
+    let more = (2..).map_while(|part| points.get(&format!("LABELS{part}")));
+    let labels = points.get("LABELS").into_iter().chain(more).flat_map(Parameter::texts);
+    let mut names: Vec<String> = labels.take(layout.markers).collect();
+    names.resize(layout.markers, String::new());
     // The header has no room for the numbers of a long recording.
-    let trial = group(parameters, &numbers, "TRIAL");
-    let long = |name: &str| {
-        let (low, high) = trial.get(name)?.data.split_at_checked(2)?;
-        let [low, high] = [numbers.integer(low)?, numbers.integer(high)?];
-        Some(u32::from(high as u16) << 16 | u32::from(low as u16))
+    let long = |name: &str| trial.get(name).and_then(|parameter| numbers.long(parameter.data));
+    let first = long("ACTUAL_START_FIELD").unwrap_or(layout.first);
+    let last = long("ACTUAL_END_FIELD").unwrap_or(layout.last);
+    let frames = last.checked_sub(first).map_or(usize::MAX, |frames| frames as usize + 1);
+    let places = layout.places(bytes, &numbers, scale)?.take(frames);
+    let turned = |row: Vec<Option<Vector3<f64>>>| {
+        row.into_iter().map(|place| place.map(|place| turn * place)).collect()
     };
-    let first = long("ACTUAL_START_FIELD").unwrap_or(first.into());
-    let last = long("ACTUAL_END_FIELD").unwrap_or(last.into());
-    let all = last.checked_sub(first).map_or(usize::MAX, |frames| frames as usize + 1);
-    let length = width * (4 * count + analog);
-    let frames = bytes.get(data..).unwrap_or_default().chunks_exact(length.max(1)).take(all);
-    if length == 0 || frames.len() == 0 {
-        return Err(no("frame of markers"));
+    Ok(Trajectories {
+        frame_rate,
+        // Frames count from 1.
+        first_frame: f64::from(first.saturating_sub(1)),
+        names,
+        rows: places.map(turned).collect(),
+    })
+}
+
+fn not_there(what: &'static str) -> TrajectoryError {
+    TrajectoryError::NotInC3d { what }
+}
+
+/// What the header says of the frames.
+struct Layout {
+    markers: usize,
+    /// Number of analog values in a frame.
+    analog: usize,
+    /// Numbers of the first and the last frame, from 1.
+    first: u32,
+    last: u32,
+    /// First byte of the first frame.
+    start: usize,
+}
+
+impl Layout {
+    fn of(bytes: &[u8], numbers: &Numbers) -> Result<Self, TrajectoryError> {
+        let header = |at: usize, what| {
+            let found = bytes.get(at..).and_then(|bytes| numbers.integer(bytes));
+            found.map(|number| number as u16).ok_or(not_there(what))
+        };
+        Ok(Self {
+            markers: header(2, "number of markers")?.into(),
+            analog: header(4, "number of analog values")?.into(),
+            first: header(6, "first frame")?.into(),
+            last: header(8, "last frame")?.into(),
+            start: BLOCK * usize::from(header(16, "place of the frames")?.saturating_sub(1)),
+        })
     }
-    let rows = frames.map(|frame| frame.chunks_exact(4 * width).take(count).map(place).collect());
-    // Frames count from 1.
-    let (first_frame, rows) = (f64::from(first.saturating_sub(1)), rows.collect());
-    Ok(Trajectories { frame_rate, first_frame, names, rows })
+
+    /// The places of the markers in each whole frame, in the file's axes and unit. A negative scale says that all numbers
+    /// are floating point numbers in that unit; else they are integers, times the scale.
+    fn places<'a>(
+        &self,
+        bytes: &'a [u8],
+        numbers: &'a Numbers,
+        scale: f64,
+    ) -> Result<impl Iterator<Item = Vec<Option<Vector3<f64>>>> + 'a, TrajectoryError> {
+        let is_float = scale < 0.0;
+        let (width, scale) = if is_float { (4, 1.0) } else { (2, scale) };
+        let number = move |bytes: &[u8], index: usize| {
+            let bytes = bytes.get(width * index..)?;
+            match is_float {
+                true => numbers.float(bytes).map(f64::from),
+                false => numbers.integer(bytes).map(f64::from),
+            }
+        };
+        let place = move |bytes: &[u8]| {
+            let at = Vector3::new(number(bytes, 0)?, number(bytes, 1)?, number(bytes, 2)?) * scale;
+            // Some programs write zeros for places that are not known.
+            let is_known = at.iter().all(|c| c.is_finite()) && at != Vector3::zeros();
+            (is_known && number(bytes, 3)? >= 0.0).then_some(at)
+        };
+        let (markers, length) = (self.markers, width * (4 * self.markers + self.analog));
+        let frames = bytes.get(self.start..).unwrap_or_default().chunks_exact(length.max(1));
+        if length == 0 || frames.len() == 0 {
+            return Err(not_there("frame of markers"));
+        }
+        Ok(frames
+            .map(move |frame| frame.chunks_exact(4 * width).take(markers).map(place).collect()))
+    }
 }
 
 /// Numbers as a processor has them.
@@ -105,6 +143,12 @@ impl Numbers {
         } else {
             i16::from_le_bytes(bytes)
         })
+    }
+
+    /// The number of 32 bits at the start: two integers, the lower half first.
+    fn long(&self, bytes: &[u8]) -> Option<u32> {
+        let [low, high] = [self.integer(bytes)?, self.integer(bytes.get(2..)?)?];
+        Some(u32::from(high as u16) << 16 | u32::from(low as u16))
     }
 
     /// The floating point number at the start.
@@ -154,10 +198,10 @@ fn group<'a>(section: &'a [u8], numbers: &Numbers, name: &str) -> HashMap<String
         {
             found.push((i16::from(number), own, parameter));
         }
-        if way <= 0 {
+        if way == 0 {
             break;
         }
-        rest = after.get(way as usize..).unwrap_or_default();
+        rest = after.get(usize::from(way as u16)..).unwrap_or_default();
     }
     let of_group = found.into_iter().filter(|(number, ..)| Some(*number) == id);
     of_group.map(|(_, name, parameter)| (name, parameter)).collect()
