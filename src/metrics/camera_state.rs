@@ -150,6 +150,11 @@ impl CameraState {
         self.counters.unusable += 1;
     }
 
+    /// Sets its residual, pixels, and the share of its points near the bodies.
+    pub(crate) fn set_residual(&mut self, residual_px: f64, near: f64) {
+        (self.counters.residual_px, self.counters.near) = (residual_px, near);
+    }
+
     /// Sets its usual residual, pixels; 0: not known.
     pub(crate) fn set_usual_px(&mut self, usual_px: f64) {
         self.counters.usual_px = usual_px;

@@ -3,14 +3,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use bundlemocap::core::detections::Detections;
 use bundlemocap::core::stage::{self, Known};
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{known_people, write_body};
-use bundlemocap::io::wire::{self, ActorChannel, Event, Pose, Topic, Topics, decode};
+use bundlemocap::io::wire::{self, ActorChannel, Event, Pose, Topic, Topics, TrackingState, decode};
 use bundlemocap::live::{Input, Recorded};
 
 use crate::live::{Sent, World, at};
 use crate::several::Stage;
+use crate::slate::slate;
 
 /// Time of a message from node to node, and until the others know that a solver came or is gone.
 const NETWORK: Nanos = Nanos::from_ms(2);
@@ -27,8 +29,17 @@ enum Happens {
     /// Its messages are lost, and those to it. The others do not notice it.
     IsCutOff,
     IsBack,
+    /// It hears and says nothing from here on, but its connections stay.
+    Hangs,
+    /// The next set of everybody's frames is lost on the way to it, or all are.
+    LosesASet,
+    IsDeaf,
+    /// Its last hand-over but some is sent again.
+    Echoes,
+    /// All nodes get this command for the performer of that name.
+    IsTold(&'static str),
 }
-use Happens::{IsBack, IsCutOff, IsKilled, Leaves, Starts};
+use Happens::{Echoes, Hangs, IsBack, IsCutOff, IsDeaf, IsKilled, IsTold, Leaves, LosesASet, Starts};
 
 /// A node and the number of its messages that are on their way.
 struct Node {
@@ -45,16 +56,17 @@ impl Node {
         Self { world, sent: 0, killed: None, is_cut_off: false }
     }
 
-    /// The messages since the last call, as the others get them.
+    /// The messages since the last call that other nodes of the stage read.
     fn says(&mut self) -> Vec<Sent> {
         let all = &self.world.heard.messages[self.sent..];
         self.sent += all.len();
-        let is_for_solvers = |message: &&Recorded| {
+        let is_for_nodes = |message: &&Recorded| {
             let topic = Topic::parse(&message.topic).unwrap();
             let Topic::Actor { channel, .. } = topic else { return false };
-            matches!(channel, ActorChannel::Keypoints | ActorChannel::HandOver)
+            use ActorChannel::{HandOver, Keypoints, Status};
+            matches!(channel, Keypoints | HandOver | Status)
         };
-        let sent = all.iter().filter(is_for_solvers).map(|message| Sent {
+        let sent = all.iter().filter(is_for_nodes).map(|message| Sent {
             arrival: message.time + NETWORK,
             topic: message.topic.to_string(),
             payload: message.payload.clone(),
@@ -76,6 +88,10 @@ fn stage_of(people: usize, cameras: usize, seconds: f64) -> Stage {
     (node.latency_ms, node.provisional) = (300.0, false);
     (node.time_offsets, node.watch_cameras) = (false, false);
     stage
+}
+
+fn is_hand_over(message: &Sent) -> bool {
+    message.topic.ends_with("/hand_over")
 }
 
 /// The stage of most tests.
@@ -100,6 +116,8 @@ fn play(
     let mut transit: BTreeMap<String, Vec<Sent>> = BTreeMap::new();
     let (mut solvers, mut notices) = (BTreeSet::new(), Vec::new());
     let mut script = script.iter().peekable();
+    let mut deaf = BTreeSet::new();
+    let (mut losing, mut said_before) = (BTreeMap::new(), BTreeMap::<String, Vec<Sent>>::new());
     let mut now = at(-0.8);
     while now < at(seconds) {
         now = now + Nanos::from_ms(2);
@@ -114,6 +132,23 @@ fn play(
                 }
                 IsCutOff => nodes.get_mut(*name).unwrap().is_cut_off = true,
                 IsBack => nodes.get_mut(*name).unwrap().is_cut_off = false,
+                Hangs => nodes.get_mut(*name).unwrap().killed = Some(now),
+                IsTold(action) => {
+                    let told = slate(action, name, now.seconds_since(at(0.0)));
+                    let to = nodes.keys().map(|node| (node.clone(), told.clone()));
+                    to.for_each(|(node, told)| transit.entry(node).or_default().push(told));
+                }
+                LosesASet => {
+                    losing.insert((*name).to_owned(), BTreeSet::new());
+                }
+                IsDeaf => drop(deaf.insert((*name).to_owned())),
+                Echoes => {
+                    let states = said_before[*name].iter().filter(|m| is_hand_over(m));
+                    let old: Vec<Sent> = states.rev().skip(20).take(20).cloned().collect();
+                    let again = old.into_iter().map(|m| Sent { arrival: now + NETWORK, ..m });
+                    let again: Vec<Sent> = again.collect();
+                    transit.values_mut().for_each(|all| all.extend(again.iter().cloned()));
+                }
                 Leaves => {
                     solvers.remove(*name);
                     nodes.get_mut(*name).unwrap().world.end();
@@ -133,6 +168,12 @@ fn play(
             let waiting = transit.entry(name.clone()).or_default();
             let mut messages: Vec<Sent> =
                 waiting.extract_if(.., |message| message.arrival <= now).collect();
+            if let Some(lost) = losing.get_mut(name) {
+                messages.retain(|m| !m.topic.ends_with("/keypoints") || !lost.insert(m.topic.clone()));
+            }
+            if deaf.contains(name) {
+                messages.retain(|m| !m.topic.ends_with("/keypoints"));
+            }
             if name == "front" {
                 messages.extend(std::iter::from_fn(|| cameras.next_if(|m| m.arrival <= now)));
             }
@@ -141,6 +182,7 @@ fn play(
             }
             node.world.play(messages, now);
             let says = node.says();
+            said_before.entry(name.clone()).or_default().extend(says.iter().cloned());
             said.extend(says.into_iter().filter(|_| !node.is_cut_off));
         }
         notices.retain(|(at, _)| *at > now);
@@ -209,7 +251,22 @@ fn solvers_give_the_poses_of_one_node() {
         nodes["front"].world.heard.of::<wire::StageStatus>(&Topics::default().stage_status());
     for performer in &status.last().unwrap().1.performers {
         assert!(who[&performer.solver].contains(&performer.name), "{performer:?}");
+        assert!(performer.tracker_state == "tracking" && performer.residual_px > 0.0);
     }
+    // So does its status of the solvers' windows and poses, and of the cameras' residuals.
+    let front = nodes["front"].world.heard.status();
+    let tracked_by = |name: &str| {
+        let topics = Topics { actor: name.to_owned(), ..Topics::default() };
+        let all = nodes[name].world.heard.of::<wire::Status>(&topics.status());
+        all.last().unwrap().1.windows.as_ref().unwrap().tracked
+    };
+    let sum: u64 = ["a", "b", "c"].map(tracked_by).iter().sum();
+    let tracked = front.windows.unwrap().tracked;
+    // It is one second older at most.
+    assert!(tracked <= sum && tracked + 15 * PEOPLE as u64 > sum, "{tracked} of {sum}");
+    assert!(front.cameras.iter().all(|camera| camera.residual_px > 0.0 && camera.near > 0.0));
+    assert_eq!(front.declared_latency_ns, 300_000_000);
+    assert_eq!(front.tracker_state, "tracking");
 }
 
 #[test]
@@ -259,6 +316,96 @@ fn a_solver_that_was_cut_off_goes_on() {
     let (all, one) = (poses_of(&nodes), poses_of_one());
     let late: Vec<_> = one.keys().filter(|(_, capture)| *capture > at(5.2).ns()).collect();
     assert!(late.len() > 100 && late.iter().all(|key| all.contains_key(key)));
+}
+
+/// The performers of a solver that says nothing any more, and is still there, go to the others.
+#[test]
+fn a_solver_that_hangs_is_replaced() {
+    let nodes = play((stage(), SECONDS), &[], &start_three(&[(2.2, "b", Hangs)]));
+    let [before, after] = [[0.0, 2.2], [5.4, SECONDS]].map(|range| who(&nodes, range));
+    assert!(before.contains_key("b") && !after.contains_key("b"), "{before:?} {after:?}");
+    assert_eq!(after.values().map(BTreeSet::len).sum::<usize>(), PEOPLE, "{after:?}");
+    poses_of(&nodes);
+    let told = nodes["front"].world.heard.details("solver");
+    assert!(told.iter().any(|detail| detail.contains("solver b says nothing")), "{told:?}");
+}
+
+/// A solver that gets no frames any more does not release a performer: the one to which it belongs takes it.
+#[test]
+fn a_solver_without_frames_keeps_nobody() {
+    let shares = |script: &[_]| who(&play((stage(), 5.0), &[], &start_three(script)), [4.0, 5.0]);
+    let (before, with) = (shares(&[]), shares(&[(2.5, "d", Starts)]));
+    let moved = with["d"].first().unwrap();
+    let owner = before.iter().find(|(_, of)| of.contains(moved)).unwrap().0;
+    let owner = *["a", "b", "c"].iter().find(|name| *name == owner).unwrap();
+    let after = shares(&[(2.4, "d", Starts), (2.5, owner, IsDeaf)]);
+    assert!(after["d"].contains(moved), "{moved} was of {owner}: {after:?}");
+}
+
+/// Old messages of a solver that is gone do not count.
+#[test]
+fn states_that_come_late_are_not_used() {
+    let one = poses_of_one();
+    let script = start_three(&[(4.0, "b", IsKilled), (4.02, "b", Echoes)]);
+    let nodes = play((stage(), SECONDS), &[], &script);
+    let all = poses_of(&nodes);
+    let late = one.iter().filter(|((_, capture), _)| *capture > at(4.6).ns());
+    assert!(late.clone().count() > PEOPLE * 60);
+    late.into_iter().for_each(|(key, pose)| assert!(all.get(key) == Some(pose), "{key:?}"));
+}
+
+#[test]
+fn a_set_that_is_lost_is_counted() {
+    let nodes = play((stage(), SECONDS), &[], &start_three(&[(3.0, "b", LosesASet)]));
+    let lost: u64 = nodes["b"].world.heard.messages.iter().filter_map(dropped).sum();
+    assert_eq!(lost, who(&nodes, [2.0, 4.0])["b"].len() as u64);
+    let others = nodes.iter().filter(|(name, _)| *name != "b");
+    let others = others.flat_map(|(_, node)| &node.world.heard.messages).filter_map(dropped);
+    assert_eq!(others.count(), 0);
+}
+
+/// Number of messages that an event says were dropped.
+fn dropped(message: &Recorded) -> Option<u64> {
+    let event = || decode::<Event>(&message.payload).unwrap();
+    let event = message.topic.ends_with("/events").then(event)?;
+    (event.kind == "dropped").then_some(event.count)
+}
+
+/// A solver that comes later knows who is locked.
+#[test]
+fn a_lock_holds_on_a_solver_that_comes_later() {
+    let lock = |name| (2.0, name, IsTold("lock"));
+    let script = [
+        lock("p1"),
+        lock("p2"),
+        lock("p3"),
+        lock("p4"),
+        lock("p5"),
+        (3.0, "d", Starts),
+        (4.5, "", IsTold("reset")),
+    ];
+    let nodes = play((stage(), SECONDS), &[], &start_three(&script));
+    assert!(who(&nodes, [4.0, SECONDS]).contains_key("d"));
+    assert!(poses_of(&nodes) == poses_of_one());
+}
+
+/// Who comes back goes on with the body, and with later windows.
+#[test]
+fn who_comes_back_is_solved_as_before() {
+    let mut stage = stage_of(2, 4, 14.0);
+    let away = |frame: &&mut Detections| frame.capture >= at(9.0) && frame.capture < at(11.0);
+    stage.studio.frames.iter_mut().filter(away).for_each(|frame| frame.people.clear());
+    let nodes = play((stage, 14.0), &[], &[(-0.8, "a", Starts), (-0.8, "b", Starts)]);
+    for actor in ["p1", "p2"] {
+        let topics = Topics { actor: actor.to_owned(), ..Topics::default() };
+        let heard = nodes.values().flat_map(|node| node.world.heard.of::<Pose>(&topics.pose()));
+        let mut poses: Vec<Pose> = heard.map(|(_, pose)| pose).collect();
+        poses.sort_by_key(|pose| pose.capture_time_ns);
+        let last = poses.last().unwrap();
+        assert!(last.capture_time_ns > at(13.5).ns() && last.state() == TrackingState::Tracking);
+        let windows: Vec<u64> = poses.iter().map(|pose| pose.window).collect();
+        assert!(windows.is_sorted(), "{actor}: {windows:?}");
+    }
 }
 
 /// Twenty-four people before eight cameras.

@@ -51,7 +51,8 @@ impl Tracker {
         let HandOver { until, window, skeleton, estimate, motion } = state;
         let Some(skeleton) = skeleton else { return };
         self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
-        (self.skeleton, self.is_proven, self.window) = (Some(skeleton), true, window);
+        (self.skeleton, self.is_proven) = (Some(skeleton), true);
+        self.window = self.window.max(window);
         self.intake.refuse(until);
         let Some(motion) = motion else {
             self.estimator = Arc::new(estimate.after_a_break());

@@ -14,6 +14,7 @@ use crate::core::time::{Nanos, Timestamp};
 const AHEAD: Nanos = Nanos::SECOND;
 const COMPLETE: Field = field("KeypointSet", "complete_ns");
 const PERFORMER: Field = field("KeypointSet", "performer");
+const FRAMES: Field = field("KeypointSet", "frames");
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
 /// Valid times: the years 1684 to 2255 by the Unix epoch.
@@ -75,7 +76,7 @@ impl KeypointSet {
     /// The performer and the frames. The arguments are those of [`KeypointFrame::to_core`].
     ///
     /// # Errors
-    /// As [`KeypointFrame::to_core`]; more performers than there can be.
+    /// As [`KeypointFrame::to_core`]; more performers than there can be; several people in a frame.
     pub fn to_core(
         &self,
         index_of: impl Fn(&str) -> Option<usize>,
@@ -86,6 +87,9 @@ impl KeypointSet {
         }
         let frames = self.frames.iter().map(|frame| frame.to_core(&index_of));
         let frames: Vec<Detections> = frames.collect::<Result<_, _>>()?;
+        if frames.iter().any(|frame| frame.people.len() > 1) {
+            return Err(FRAMES.invalid("several people in a frame"));
+        }
         let last = frames.iter().map(|frame| frame.capture).max().unwrap_or_default();
         if Timestamp::from_ns(self.complete_ns) - last > AHEAD {
             return Err(COMPLETE.invalid("is long after the last frame"));

@@ -194,13 +194,18 @@ impl Core {
 
     /// Publishes a performer's detections, for other nodes.
     fn frames_of(&mut self, performer: PerformerId, frames: &PerformerFrames) {
-        let Some(calibration) = &self.calibration else { return };
+        let Some(rig) = self.calibration.as_ref().map(|of| Arc::clone(&of.rig)) else { return };
         let frame = |frame: &Detections| {
-            let camera = calibration.rig.cameras.get(frame.camera)?;
+            let camera = rig.cameras.get(frame.camera)?;
             let size = [camera.width, camera.height];
             Some(KeypointFrame::from_core(frame, &camera.name, size))
         };
+        let label = self.label_of(performer.0).cloned();
+        let number = &mut self.performer(performer).sets;
+        *number = if frames.enters { 1 } else { *number + 1 };
         let message = KeypointSet {
+            number: *number,
+            label,
             performer: performer.0 as u32,
             frames: frames.frames.iter().filter_map(frame).collect(),
             complete_ns: frames.complete.ns(),

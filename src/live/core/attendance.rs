@@ -58,22 +58,26 @@ impl Core {
         let &Presence { performer, life, place, seen, views } = present;
         let own = self.performers.get(performer.0);
         let is_solved = self.settings.stage.solve;
-        let state = progress.get(performer.0).filter(|_| is_solved).map(|one| one.state);
+        let name = self.name_of(performer.0);
+        let told = self.told_of(&name);
+        let own_state = progress.get(performer.0).filter(|_| is_solved).map(|one| one.state);
+        let state = told.map(|told| &*told.tracker_state).or(own_state);
+        let residual_px = told.map(|told| told.residual_px).or(own.map(|own| own.residual_px));
         let unseen = self.clock.capture_time(self.now) - seen;
         StagePerformer {
-            name: self.name_of(performer.0),
+            name,
             life: life.name().to_owned(),
             tracker_state: state.unwrap_or_default().to_owned(),
             solver: match is_solved {
                 true => self.topics.actor.clone(),
-                false => solver_of(&self.settings.carried.solvers, performer)
+                false => solver_of(&self.solving(), performer)
                     .unwrap_or_default()
                     .to_owned(),
             },
             place_m: place.map_or_else(Vec::new, Vec::from),
             unseen_s: unseen.seconds().max(0.0),
             views: views as u32,
-            residual_px: own.map_or(0.0, |own| own.residual_px),
+            residual_px: residual_px.unwrap_or(0.0),
             label: self.label_of(performer.0).cloned(),
         }
     }
@@ -105,7 +109,7 @@ impl Core {
     /// Several performers: those who are followed.
     pub(super) fn followed(&self) -> Vec<PerformerId> {
         if self.is_solver() {
-            return self.sharing.ours();
+            return self.sharing.followed();
         }
         let all = self.stage.as_ref().map(Stage::attendance).unwrap_or_default();
         let here = all.performers.into_iter().filter(|one| one.life.is_here());

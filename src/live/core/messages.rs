@@ -30,6 +30,7 @@ impl Core {
         let mut inputs = vec![all.rig(), all.take()];
         inputs.push(if self.is_solver() { all.actor_keypoints() } else { all.keypoints("*") });
         inputs.extend(self.looks_for_solvers().then(|| all.hand_over()));
+        inputs.extend(self.looks_for_solvers().then(|| all.status()));
         inputs
     }
 
@@ -56,6 +57,7 @@ impl Core {
             Ok(Topic::Actor { actor, channel, .. }) => match channel {
                 ActorChannel::Keypoints if self.is_solver() => self.keypoint_set(actor, payload),
                 ActorChannel::HandOver => self.hand_over(actor, payload),
+                ActorChannel::Status if self.reads_status(actor) => self.status_of_other(actor, payload),
                 _ => {}
             },
             Ok(Topic::Stage { .. }) | Err(_) => {}
@@ -106,8 +108,20 @@ impl Core {
             self.event(EventKind::Crowd, Some(camera), detail);
         }
         let mut frame = frame.to_core(|name| rig.index_of(name))?;
-        let image = rig.cameras.get(frame.camera).map(|camera| [camera.width, camera.height]);
-        if let Some([width, height]) = image.filter(|image| size != [0, 0] && *image != size) {
+        self.check_points(&mut frame, size, rig)?;
+        Ok(frame)
+    }
+
+    /// Checks the size of a frame's image, and leaves out points that are far outside of it.
+    pub(super) fn check_points(
+        &mut self,
+        frame: &mut Detections,
+        size: [u32; 2],
+        rig: &Rig,
+    ) -> Result<(), DecodeError> {
+        let Some(camera) = rig.cameras.get(frame.camera) else { return Ok(()) };
+        let [width, height] = [camera.width, camera.height];
+        if size != [0, 0] && size != [width, height] {
             return Err(DecodeError::Invalid {
                 message: "KeypointFrame",
                 field: "image_width",
@@ -124,7 +138,6 @@ impl Core {
         };
         let mut count = 0;
         for point in frame.people.iter_mut().flat_map(|person| &mut person.points) {
-            let Some([width, height]) = image.filter(|_| point.is_some()) else { continue };
             if point.is_some_and(|at| is_far(at.pixel.x, width) || is_far(at.pixel.y, height)) {
                 *point = None;
                 count += 1;
@@ -132,9 +145,9 @@ impl Core {
         }
         if count > 0 {
             let detail = format!("points more than {MOST_OUTSIDE} image sizes outside, not used");
-            self.events(EventKind::FarPoint, Some(camera), count, detail);
+            self.events(EventKind::FarPoint, Some(&camera.name), count, detail);
         }
-        Ok(frame)
+        Ok(())
     }
 
     fn detections(&mut self, frame: Detections) {

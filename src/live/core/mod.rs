@@ -16,6 +16,7 @@ mod rigs;
 mod sharing;
 mod status;
 pub(super) mod take;
+mod told;
 mod watch;
 
 use std::collections::VecDeque;
@@ -38,6 +39,7 @@ use port::{Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings};
 use publication::{Content, Publication};
 use sharing::Sharing;
 use status::Published;
+use told::Told;
 
 /// The current calibration and its bytes.
 struct Calibration {
@@ -83,6 +85,8 @@ pub struct Core {
     is_changed: bool,
     /// Of a solver: the performers of the stage.
     sharing: Sharing,
+    /// Not solving: what the solvers tell.
+    told: Told,
     /// Number of jobs that are out.
     jobs: usize,
     /// The take that begins as soon as no job is out.
@@ -136,6 +140,7 @@ impl Core {
             is_flushed: false,
             is_changed: false,
             sharing: Sharing::default(),
+            told: Told::default(),
             jobs: 0,
             others: 0,
             starting: None,
@@ -150,6 +155,7 @@ impl Core {
 
     /// Handles an input. `now` is the node's clock, nanoseconds since 1970; it never goes back.
     pub fn handle(&mut self, now: Timestamp, input: Input) {
+        self.told.pause(now - self.now);
         self.now = self.now.max(now);
         let input = if self.changes_nothing(&input) { Input::Tick } else { input };
         let (settings, rig) = (&self.settings, self.rig_at_start.as_deref());
@@ -376,6 +382,7 @@ impl Core {
         for (kind, performer, message) in self.counts.second() {
             self.publish_event(kind, performer, message);
         }
+        self.review_told();
         for camera in &mut self.cameras {
             camera.second(passed);
         }
@@ -391,12 +398,16 @@ impl Core {
         let all = self.progress();
         self.publish_stage_status(&all);
         self.is_changed = false;
+        let states: Vec<&str> = all.iter().map(|one| one.state).collect();
         let of_node = Progress {
-            state: state_of_all(&all),
-            windows: windows_of_all(&all),
+            state: state_of_all(&states),
+            windows: windows_of_all(all.iter().map(|one| &one.windows)),
             playout: self.published.counters(coasted_and_missed(&all)),
         };
-        let status = self.status(of_node);
+        let mut status = self.status(of_node);
+        if self.is_front() {
+            status = self.with_told(status);
+        }
         let capture = self.clock.capture_time(self.now);
         let known = self.solved_here();
         for (number, Progress { state, windows, playout }) in all.into_iter().enumerate() {
@@ -409,6 +420,7 @@ impl Core {
                 windows: Some(windows),
                 playout: Some(playout),
                 label: self.label_of(number).cloned(),
+                residual_px: self.performers[number].residual_px,
                 ..status.clone()
             };
             self.publish(topic, capture, Content::Status(Box::new(status)));
@@ -447,6 +459,7 @@ impl Core {
             clock: self.clock.kind().to_owned(),
             clock_offset_s: self.clock.base().seconds(),
             label: self.label_of(0).filter(|_| !self.is_several()).cloned(),
+            residual_px: 0.0,
             take: self.running.clone(),
             take_since_ns: if self.running.is_empty() { 0 } else { self.began.ns() },
         }

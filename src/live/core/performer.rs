@@ -25,6 +25,8 @@ pub(super) struct Performer {
     pub(super) sent: Option<Timestamp>,
     /// When the last pose leaves.
     pub(super) leaves: Timestamp,
+    /// Number of the last set of its frames that was sent to the solvers.
+    pub(super) sets: u64,
 }
 
 impl Performer {
@@ -39,6 +41,7 @@ impl Performer {
             found: Timestamp::default(),
             sent: None,
             leaves: Timestamp::default(),
+            sets: 0,
         }
     }
 }
@@ -51,16 +54,16 @@ pub(super) struct Progress {
 }
 
 /// The state of all performers: the best one.
-pub(super) fn state_of_all(all: &[Progress]) -> &'static str {
+pub(super) fn state_of_all(states: &[&str]) -> &'static str {
     let names = ["tracking", "coasting", "acquiring", "lost", "idle"];
-    let best = names.into_iter().find(|name| all.iter().any(|one| one.state == *name));
+    let best = names.into_iter().find(|name| states.contains(name));
     best.unwrap_or("searching")
 }
 
 /// The counters of all performers together; times, iterations and costs are the largest.
-pub(super) fn windows_of_all(all: &[Progress]) -> WindowCounters {
+pub(super) fn windows_of_all<'a>(all: impl Iterator<Item = &'a WindowCounters>) -> WindowCounters {
     let mut sum = WindowCounters::default();
-    for Progress { windows, .. } in all {
+    for windows in all {
         sum.tracked += windows.tracked;
         sum.coasted += windows.coasted;
         sum.lost += windows.lost;

@@ -9,7 +9,7 @@ use crate::core::fnv::fnv1a;
 use crate::core::stage;
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
-use crate::io::wire;
+use crate::io::wire::{self, ActorChannel, Topic};
 use crate::live::clock::Clock;
 use crate::metrics::CameraState;
 
@@ -41,12 +41,15 @@ impl Core {
         !self.settings.node.rig.is_empty()
     }
 
-    /// Whether the input is a rig that is in use or was refused before: the journal needs no copy of
-    /// it. The node's own rig comes back from the bus too; a run may begin with that.
+    /// Whether the input is a rig that is in use or was refused before, or a status that nobody needs: the journal needs no
+    /// copy of it. The node's own rig comes back from the bus too; a run may begin with that.
     pub(super) fn changes_nothing(&self, input: &Input) -> bool {
         let Input::Message { topic, payload } = input else { return false };
         if self.journal.count == 0 {
             return false;
+        }
+        if let Ok(Topic::Actor { actor, channel: ActorChannel::Status, .. }) = Topic::parse(topic) {
+            return !self.reads_status(actor);
         }
         let is_refused = || {
             let known = &self.known_rigs;

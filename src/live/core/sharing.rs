@@ -14,13 +14,14 @@ use std::sync::Arc;
 
 use super::Core;
 use super::publication::Content;
+use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::fnv::fnv1a;
 use crate::core::random::Draws;
 use crate::core::stage::{PerformerFrames, PerformerId};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind};
-use crate::io::wire::{self, HandOver, KeypointSet, Topics};
+use crate::io::wire::{self, DecodeError, HandOver, KeypointSet, Topics};
 
 /// The newest frames of performers who are solved elsewhere are kept for this long.
 const KEPT: Nanos = Nanos::from_ms(1500);
@@ -37,12 +38,34 @@ const MOST_LATE: Nanos = Nanos::from_ms(60_000);
 /// The motion goes on if the frames begin at most this long after its end.
 const HOLE: Nanos = Nanos::from_ms(100);
 
+/// The last set of a performer's frames.
+#[derive(Clone, Copy)]
+struct Last {
+    run_id: u64,
+    number: u64,
+    complete: Timestamp,
+}
+
+impl Last {
+    /// How many sets between this one and the next were lost, and whether the performer entered with one of them.
+    fn lost_before(&self, next: &Self) -> (u64, bool) {
+        if next.run_id != self.run_id || next.complete <= self.complete {
+            return (0, false);
+        }
+        match next.number.checked_sub(self.number) {
+            Some(after) => (after.saturating_sub(1), false),
+            None => (next.number.saturating_sub(1), true),
+        }
+    }
+}
+
 /// A performer of the stage.
 #[derive(Default)]
 struct Shared {
     /// The name in the topics.
     name: String,
     is_ours: bool,
+    last: Option<Last>,
     /// The last state, of whoever solves the performer, and when it came.
     state: Option<HandOver>,
     heard: Timestamp,
@@ -77,6 +100,16 @@ impl Sharing {
         let ours = self.performers.iter().filter(|(_, shared)| shared.is_ours);
         ours.map(|(number, _)| *number).collect()
     }
+
+    /// Those of them who are followed: their frames come.
+    pub(super) fn followed(&self) -> Vec<PerformerId> {
+        let newest = self.newest.values().max().copied().unwrap_or_default();
+        let is_followed = |number: &PerformerId| {
+            let last = self.performers.get(number).and_then(|shared| shared.last);
+            last.is_some_and(|last| newest - last.complete < SILENT)
+        };
+        self.ours().into_iter().filter(is_followed).collect()
+    }
 }
 
 /// The solver of a performer.
@@ -109,6 +142,7 @@ impl Core {
         }
         let solvers = &self.settings.carried.solvers;
         let new: Vec<&String> = solvers.iter().filter(|name| !before.contains(name)).collect();
+        new.iter().for_each(|solver| self.told.comes(solver, self.now));
         let is_new = !new.is_empty();
         self.sharing.since.retain(|name, _| solvers.contains(name));
         self.sharing.since.extend(new.into_iter().map(|name| (name.clone(), self.now)));
@@ -131,14 +165,21 @@ impl Core {
             return self.event(EventKind::Unusable, None, detail);
         };
         let rig = Arc::clone(&calibration.rig);
-        let set = wire::decode::<KeypointSet>(payload);
-        let (performer, set) = match set.and_then(|set| set.to_core(|name| rig.index_of(name))) {
-            Ok(set) => set,
+        let message = wire::decode::<KeypointSet>(payload);
+        let checked = message.and_then(|message| Ok((self.checked(&message, &rig)?, message)));
+        let ((performer, mut set), message) = match checked {
+            Ok(checked) => checked,
             Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
         };
         self.note_arrivals(&set.frames);
+        *self.label_mut(performer.0) = message.label.unwrap_or_default();
+        let (run_id, number, complete) = (message.run_id, message.number, set.complete);
         let shared = self.sharing.performers.entry(performer).or_default();
-        let is_renamed = shared.name != actor;
+        let last = shared.last.replace(Last { run_id, number, complete });
+        let (lost, entered) =
+            last.zip(shared.last).map_or((0, false), |(last, next)| last.lost_before(&next));
+        set.enters |= entered;
+        let (is_ours, is_renamed) = (shared.is_ours, shared.name != actor);
         actor.clone_into(&mut shared.name);
         if set.enters {
             // It is somebody else's.
@@ -157,7 +198,24 @@ impl Core {
                 self.use_name(performer);
             }
         }
+        if lost > 0 && is_ours {
+            let detail = "frames from the front did not arrive: the network or this node is too slow";
+            self.tell_of(performer, EventKind::Dropped, lost, detail.to_owned());
+        }
         self.review(performer);
+    }
+
+    /// The frames of a performer, if they fit the calibration.
+    fn checked(
+        &mut self,
+        message: &KeypointSet,
+        rig: &Rig,
+    ) -> Result<(PerformerId, PerformerFrames), DecodeError> {
+        let (performer, mut set) = message.to_core(|name| rig.index_of(name))?;
+        for (frame, sent) in set.frames.iter_mut().zip(&message.frames) {
+            self.check_points(frame, [sent.image_width, sent.image_height], rig)?;
+        }
+        Ok((performer, set))
     }
 
     /// Compares the cameras' clock with the node's: each frame comes with the sets of several performers.
@@ -215,6 +273,8 @@ impl Core {
         if (1..=MOST_LATE.ns()).contains(&by) {
             return;
         }
+        // Who only knows the body does not know how many windows there were.
+        message.window = message.window.max(before.map_or(0, |before| before.window));
         if message.body_estimate.is_none() {
             message.body_estimate = before.and_then(|before| before.body_estimate.clone());
         }
@@ -234,14 +294,13 @@ impl Core {
     }
 
     fn is_winner(&self, performer: PerformerId) -> bool {
-        let solver = solver_of(&self.settings.carried.solvers, performer);
-        solver == Some(self.topics.actor.as_str())
+        solver_of(&self.solving(), performer) == Some(self.topics.actor.as_str())
     }
 
     /// Takes or releases a performer, if it is time to.
     fn review(&mut self, performer: PerformerId) {
-        let solvers = &self.settings.carried.solvers;
-        let Some(winner) = solver_of(solvers, performer) else { return };
+        let solvers = self.solving();
+        let Some(winner) = solver_of(&solvers, performer) else { return };
         let is_winner = *winner == *self.topics.actor;
         // Who came just now has no frames of the time before.
         let since = self.sharing.since.get(winner);
@@ -301,12 +360,13 @@ impl Core {
         for set in recent.drain(begin.unwrap_or(0)..) {
             stage.associated(performer, set);
         }
+        self.performer(performer).skeleton = None;
         self.use_name(performer);
         let detail = match from.filter(|from| !from.is_empty() && *from != self.topics.actor) {
             Some(from) => format!("solved here from now on; {from} did it before"),
             None => "solved here".to_owned(),
         };
-        self.tell_of(performer, detail);
+        self.tell_of(performer, EventKind::Solver, 1, detail);
     }
 
     /// Another solver is to go on with a performer.
@@ -319,11 +379,11 @@ impl Core {
         shared.state = Some(state.clone());
         self.publish_state(state);
         self.release_here(performer);
-        let others =
-            self.settings.carried.solvers.iter().filter(|name| **name != self.topics.actor);
-        let others: Vec<String> = others.cloned().collect();
+        let mut others = self.solving();
+        others.retain(|name| *name != self.topics.actor);
         let next = solver_of(&others, performer).unwrap_or("nobody");
-        self.tell_of(performer, format!("not solved here any more; {next} goes on"));
+        let detail = format!("not solved here any more; {next} goes on");
+        self.tell_of(performer, EventKind::Solver, 1, detail);
     }
 
     /// Releases all performers: the node ends.
@@ -339,10 +399,9 @@ impl Core {
         }
     }
 
-    fn tell_of(&mut self, performer: PerformerId, detail: String) {
+    fn tell_of(&mut self, performer: PerformerId, kind: EventKind, count: u64, detail: String) {
         let capture = self.clock.capture_time(self.now);
-        let kind = EventKind::Solver;
-        let event = tracker::Event { capture, kind, camera: None, window: None, count: 1, detail };
+        let event = tracker::Event { capture, kind, camera: None, window: None, count, detail };
         self.emit(&event, Some(performer), None);
     }
 
@@ -377,5 +436,23 @@ impl Core {
         let capture = Timestamp::from_ns(message.until_ns);
         let message = HandOver { run_id: self.run_id, ..message };
         self.publish(topics.hand_over(), capture, Content::HandOver(Box::new(message)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lost_sets_are_seen_by_their_numbers() {
+        let set = |run_id, number, ms| Last { run_id, number, complete: Timestamp::from_ns(ms) };
+        let before = set(1, 7, 100);
+        assert_eq!(before.lost_before(&set(1, 8, 117)), (0, false));
+        assert_eq!(before.lost_before(&set(1, 11, 167)), (3, false));
+        // The number is somebody else's, whose first set was lost.
+        assert_eq!(before.lost_before(&set(1, 2, 200)), (1, true));
+        // The same set again, and that of another front.
+        assert_eq!(before.lost_before(&set(1, 7, 100)), (0, false));
+        assert_eq!(before.lost_before(&set(2, 1, 117)), (0, false));
     }
 }

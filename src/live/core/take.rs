@@ -47,7 +47,7 @@ impl Core {
         // The front answers for solvers.
         match &*take.action {
             "start" | "stop" => {}
-            "reset" | "label" | "lock" | "unlock" if self.is_solver() => {
+            "reset" if self.is_solver() => {
                 let _ = self.follow(&take);
                 return;
             }
@@ -127,8 +127,8 @@ impl Core {
         let Take { name, new_name, .. } = take;
         let number = self.number_of(name)?;
         valid_name(new_name).map_err(|error| error.to_string())?;
-        if *new_name == self.topics.actor {
-            return Err(format!("{new_name} is the name of the node; choose another one"));
+        if *new_name == self.topics.actor || self.settings.carried.solvers.contains(new_name) {
+            return Err(format!("{new_name} is the name of a node; choose another one"));
         }
         let is_here = self.followed().into_iter().any(|one| self.name_of(one.0) == *new_name);
         if new_name != name && is_here {
@@ -190,12 +190,15 @@ impl Core {
 
     /// The label of the performer with that name in its topics.
     fn label_by_name(&mut self, name: &str) -> Result<&mut PerformerLabel, String> {
-        let number = self.number_of(name)?;
+        Ok(self.label_mut(self.number_of(name)?))
+    }
+
+    pub(super) fn label_mut(&mut self, number: usize) -> &mut PerformerLabel {
         let labels = &mut self.settings.carried.labels;
         if labels.len() <= number {
             labels.resize_with(number + 1, PerformerLabel::default);
         }
-        Ok(&mut labels[number])
+        &mut labels[number]
     }
 
     /// The labels for the next take. With several performers, only of those whom it knows: another number may
