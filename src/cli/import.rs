@@ -146,7 +146,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     for other in best.folder.others().to_vec() {
         let [one, another] = [&best.folder.order().name, &other.name].map(Clone::clone);
         let attempt = Attempt { order: Some(other), ..best.attempt.clone() };
-        if best.replaced_by_better(arguments, path, attempt, |check| check.faults() as f64)? {
+        if best.replaced_by_better(arguments, path, attempt, Check::odd_order)? {
             complain("note", &format!("the points fit better as {another} than as {one}"));
             best.exchange(arguments, path)?;
             best.measure(arguments, path)?;

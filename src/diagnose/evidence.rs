@@ -20,7 +20,7 @@ const SEVERAL: f64 = 0.02;
 const PATIENCE: usize = 60;
 /// A performer tells of the cameras if two of them see this part of all frames with somebody.
 const SEEN: f64 = 0.2;
-/// A camera in which a performer is found this much less often than in the best one may be wrong: it
+/// A camera in which each performer is found this much less often than in the best one may be wrong: it
 /// sees somebody else where the performer should be.
 const FOUND: f64 = 0.8;
 
@@ -29,6 +29,14 @@ const FOUND: f64 = 0.8;
 struct Seen {
     footage: Footage,
     found: Vec<usize>,
+}
+
+impl Seen {
+    /// Whether a camera saw the performer much less often than another one.
+    fn is_odd(&self, camera: usize) -> bool {
+        let best = self.found.iter().copied().max().unwrap_or(0) as f64;
+        (self.found[camera] as f64) < FOUND * best
+    }
 }
 
 /// What the cameras saw. Detections are assigned to performers first, so that several people in view
@@ -128,8 +136,9 @@ impl Evidence {
         }
     }
 
-    /// Judges the cameras by the performer who moved most; without one, by everybody in view. `rig`
-    /// are the same cameras, perhaps with other time offsets.
+    /// Judges the cameras by the performer who moved most; without one, by everybody in view. If something seems wrong, the
+    /// other performers are asked too: somebody whom a camera often loses in a crowd makes it look wrong, but a fault of
+    /// a camera shows in everybody. `rig` are the same cameras, perhaps with other time offsets.
     pub fn check(mut self, rig: &Rig) -> Check {
         if let Some(crowd) = &mut self.crowd {
             crowd.end();
@@ -140,15 +149,21 @@ impl Evidence {
         let least = self.with_people.iter().max().map_or(0.0, |most| SEEN * *most as f64);
         let is_enough =
             |one: &&Seen| one.found.iter().filter(|count| **count as f64 >= least).count() >= 2;
-        let enough = self.performers.iter().filter(is_enough);
-        let most = enough.max_by(|a, b| a.footage.movement().total_cmp(&b.footage.movement()));
-        let Some(Seen { footage, found }) = most.filter(|_| several as f64 > SEVERAL * all as f64)
-        else {
+        let mut enough: Vec<&Seen> = self.performers.iter().filter(is_enough).collect();
+        enough.sort_by(|a, b| b.footage.movement().total_cmp(&a.footage.movement()));
+        let is_crowd = several as f64 > SEVERAL * all as f64;
+        let Some((mover, others)) = enough.split_first().filter(|_| is_crowd) else {
             return check(&self.largest, &self.largest, &self.largest, rig);
         };
-        let best = found.iter().copied().max().unwrap_or(0) as f64;
-        let is_odd = |camera: usize| (found[camera] as f64) < FOUND * best;
-        let alone = footage.with(&self.largest, is_odd);
-        check(&self.largest, &alone, &footage.with(&self.everybody, is_odd), rig)
+        let is_odd = |camera: usize| enough.iter().all(|one| one.is_odd(camera));
+        let check_by = |Seen { footage, .. }: &Seen| {
+            let alone = footage.with(&self.largest, is_odd);
+            check(&self.largest, &alone, &footage.with(&self.everybody, is_odd), rig)
+        };
+        let by_mover = check_by(mover);
+        if by_mover.is_clean() || by_mover.tells_of_motion() {
+            return by_mover;
+        }
+        others.iter().map(|other| check_by(other)).fold(by_mover, Check::with)
     }
 }

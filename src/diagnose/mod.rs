@@ -41,10 +41,12 @@ use reading::Reading;
 const INSTANTS: usize = 60;
 /// A camera of which fewer points agree fits loosely. That is no finding.
 const LOOSELY_PERCENT: f64 = 60.0;
-/// The order of the keypoints is wrong if another one makes the limbs this much less loose.
-const TIGHTER: f64 = 0.5;
-/// Changes of limbs' lengths that are no noise, as a part of the lengths.
-const LOOSE: f64 = 0.15;
+/// A camera of which fewer points agree with one performer may be wrong, whatever another one says.
+const LEAST_PERCENT: f64 = 30.0;
+/// The order of the keypoints is wrong if another one makes the limbs this much less strange.
+const LESS_STRANGE: f64 = 0.5;
+/// Limbs of people are less strange than this.
+const STRANGE: f64 = 0.35;
 
 /// A recording's cameras, judged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -57,6 +59,9 @@ pub struct Check {
     pub cameras: Vec<CameraCheck>,
     /// What is wrong with all cameras or the whole recording.
     pub findings: Vec<Finding>,
+    /// How strange the performer's limbs are, see `performer`.
+    #[serde(skip)]
+    strangeness: Option<f64>,
 }
 
 /// A camera, judged.
@@ -108,10 +113,16 @@ impl Check {
     }
 
     /// Number of cameras with a fault, and of faults of all cameras, without those of the calibration's unit and axis.
-    pub fn faults(&self) -> usize {
+    fn faults(&self) -> usize {
         let of_world = ["scale", "up_axis"];
         let others = self.findings.iter().filter(|finding| !of_world.contains(&finding.cause));
         others.count() + self.cameras.iter().filter(|camera| !camera.findings.is_empty()).count()
+    }
+
+    /// How wrong the order of the keypoints seems: limbs that are not those of people count more than any fault.
+    pub fn odd_order(&self) -> f64 {
+        let strange = self.strangeness.filter(|strangeness| *strangeness > STRANGE);
+        1000.0 * strange.unwrap_or(0.0) + self.faults() as f64
     }
 
     /// By camera of the rig, the camera whose images it has; `None` if they are not exchanged.
@@ -138,6 +149,26 @@ impl Check {
         }
         let is_exchange = (0..all.len()).all(|camera| all.contains(&Some(camera)));
         (is_exchange && !all.is_sorted()).then(|| all.into_iter().flatten().collect())
+    }
+
+    /// Whether it names a fault that only somebody who moves shows.
+    fn tells_of_motion(&self) -> bool {
+        let mut findings = self.cameras.iter().flat_map(|camera| &camera.findings);
+        findings.any(|finding| ["time_shift", "shuffled"].contains(&finding.cause))
+    }
+
+    /// What this check and that by another performer say together. A camera that fits one of them is right.
+    fn with(self, other: Self) -> Self {
+        if self.findings.len() != other.findings.len() {
+            return if self.findings.len() < other.findings.len() { self } else { other };
+        }
+        let rank = |one: &CameraCheck| {
+            let share = one.agreeing_percent.unwrap_or(0.0);
+            (one.findings.is_empty() && share >= LEAST_PERCENT, share)
+        };
+        let both = self.cameras.into_iter().zip(other.cameras);
+        let better = |(a, b)| if rank(&b) > rank(&a) { b } else { a };
+        Self { cameras: both.map(better).collect(), ..self }
     }
 
     /// Whether the cameras agree on somebody.
@@ -215,7 +246,8 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             "is it the calibration of this take, and do the cameras share a clock?",
         );
         let findings = vec![finding];
-        return Check { performer_height_m: None, performer_up: None, cameras, findings };
+        let (performer_height_m, performer_up, strangeness) = (None, None, None);
+        return Check { performer_height_m, performer_up, cameras, findings, strangeness };
     };
     let Judged { scene: fixed, consensus, findings, general } = &judged;
     for (camera, row) in cameras.iter_mut().enumerate() {
@@ -244,7 +276,8 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
         general = vec![finding];
     }
     let (performer_height_m, performer_up) = (performer::height_m(&points), performer::up(&points));
-    Check { performer_height_m, performer_up, cameras, findings: general }
+    let strangeness = performer::strangeness(&points);
+    Check { performer_height_m, performer_up, cameras, findings: general, strangeness }
 }
 
 /// The keypoints of all cameras in the order of another format with as many points.
@@ -255,15 +288,15 @@ fn wrong_format(
 ) -> Option<Finding> {
     let declared =
         scene.footage.tracks.iter().find_map(|track| Some(track.frames.first()?.format))?;
-    let now = performer::looseness(points)?;
+    let now = performer::strangeness(points)?;
     let others = KeypointFormat::ALL.into_iter();
     let others = others.filter(|other| *other != declared && other.len() == declared.len());
     others.into_iter().find_map(|other| {
         let format = Some(other);
         let readings = scene.readings.iter().map(|reading| Reading { format, ..reading.clone() });
         let scene = scene.with(readings.collect());
-        let then = performer::looseness(&scene.points(consensus, None))?;
-        (then < TIGHTER * now && now > LOOSE).then(|| {
+        let then = performer::strangeness(&scene.points(consensus, None))?;
+        (then < LESS_STRANGE * now && now > STRANGE).then(|| {
             let [declared, other] = [declared.name(), other.name()];
             let what = format!("the keypoints are in the order of {other}, not of {declared}");
             Finding::new("keypoint_order", what, format!("import with --format {other}"))

@@ -141,24 +141,31 @@ fn sides(frames: &[Points]) -> Option<Finding> {
     })
 }
 
-/// How much the lengths of limbs change over time, as a part of the lengths. Large if the keypoints
-/// are in another order than declared.
-pub(super) fn looseness(frames: &[Points]) -> Option<f64> {
-    let limbs = [
-        (LHip, LKnee),
-        (RHip, RKnee),
-        (LKnee, LAnkle),
-        (RKnee, RAnkle),
-        (LShoulder, LElbow),
-        (RShoulder, RElbow),
-        (LElbow, LWrist),
-        (RElbow, RWrist),
-    ];
-    let of_limb = |(a, b): (Keypoint, Keypoint)| {
-        let usual = length(frames, a, b)?;
+/// Limbs, and their lengths as a part of the height \[Winter 2009\].
+const LIMBS: [(Keypoint, Keypoint, f64); 10] = [
+    (LHip, LKnee, 0.245),
+    (RHip, RKnee, 0.245),
+    (LKnee, LAnkle, 0.246),
+    (RKnee, RAnkle, 0.246),
+    (LShoulder, LElbow, 0.186),
+    (RShoulder, RElbow, 0.186),
+    (LElbow, LWrist, 0.146),
+    (RElbow, RWrist, 0.146),
+    (LShoulder, LHip, 0.288),
+    (RShoulder, RHip, 0.288),
+];
+
+/// How strange the limbs are: how much their lengths change over time, as a part of the lengths, plus how far their
+/// proportions are from usual ones, RMS of logarithms. Large if the keypoints are in another order than declared.
+pub(super) fn strangeness(frames: &[Points]) -> Option<f64> {
+    let of_limb = |(a, b, part): (Keypoint, Keypoint, f64)| {
+        let usual = length(frames, a, b)?.max(1e-12);
         let off = |p: &Points| Some(((at(p, a)? - at(p, b)?).norm() - usual).abs());
-        Some(medians(frames, off)? / usual.max(1e-12))
+        Some((medians(frames, off)? / usual, libm::log(usual / part)))
     };
-    let all: Option<Vec<f64>> = limbs.into_iter().map(of_limb).collect();
-    median(&mut all?)
+    let limbs: Option<Vec<(f64, f64)>> = LIMBS.into_iter().map(of_limb).collect();
+    let (mut changes, heights): (Vec<f64>, Vec<f64>) = limbs?.into_iter().unzip();
+    let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+    let squares = heights.iter().map(|height| (height - mean) * (height - mean)).sum::<f64>();
+    Some(median(&mut changes)? + libm::sqrt(squares / heights.len() as f64))
 }

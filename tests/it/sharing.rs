@@ -7,7 +7,9 @@ use bundlemocap::core::detections::Detections;
 use bundlemocap::core::stage::{self, Known};
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{known_people, write_body};
-use bundlemocap::io::wire::{self, ActorChannel, Event, Pose, Topic, Topics, TrackingState, decode};
+use bundlemocap::io::wire::{
+    self, ActorChannel, Event, Pose, Topic, Topics, TrackingState, decode,
+};
 use bundlemocap::live::{Input, Recorded};
 
 use crate::live::{Sent, World, at};
@@ -39,7 +41,9 @@ enum Happens {
     /// All nodes get this command for the performer of that name.
     IsTold(&'static str),
 }
-use Happens::{Echoes, Hangs, IsBack, IsCutOff, IsDeaf, IsKilled, IsTold, Leaves, LosesASet, Starts};
+use Happens::{
+    Echoes, Hangs, IsBack, IsCutOff, IsDeaf, IsKilled, IsTold, Leaves, LosesASet, Starts,
+};
 
 /// A node and the number of its messages that are on their way.
 struct Node {
@@ -169,7 +173,8 @@ fn play(
             let mut messages: Vec<Sent> =
                 waiting.extract_if(.., |message| message.arrival <= now).collect();
             if let Some(lost) = losing.get_mut(name) {
-                messages.retain(|m| !m.topic.ends_with("/keypoints") || !lost.insert(m.topic.clone()));
+                messages
+                    .retain(|m| !m.topic.ends_with("/keypoints") || !lost.insert(m.topic.clone()));
             }
             if deaf.contains(name) {
                 messages.retain(|m| !m.topic.ends_with("/keypoints"));

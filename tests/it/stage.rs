@@ -491,3 +491,25 @@ fn what_a_solver_knows_of_the_offsets_of_a_body_is_kept_by_the_stage() {
     // The next take begins with it.
     assert!(offsets_are_known(&new.with_known(&stage.known())));
 }
+
+/// Detectors change the lengths of bones with the pose. Who is always seen stays the same person, however slow the cameras
+/// are.
+#[test]
+fn slow_cameras_make_nobody_somebody_else() {
+    let at = |person: usize, _: f64| Vector3::new(1.4 * person as f64 - 0.7, 0.0, 0.3);
+    let [before, after] = [[0.0, 1.0], [1.5, -0.5]].map(|shapes| people(&shapes, 32.0, at));
+    let rig = &before.people()[0].rig;
+    let changes = zero(&before).zip(zero(&after));
+    let changes =
+        changes.map(
+            |(before, after)| {
+                if after.capture.ns() < Nanos::from_ms(12_000).ns() { before } else { after }
+            },
+        );
+    let slow = changes.filter(|frame| frame.frame % 5 == 0);
+    let result = run(rig, slow, "auto");
+    assert_eq!(result.events(EventKind::Entered), [0, 1]);
+    assert!(result.events(EventKind::Reentered).is_empty());
+    let last = result.poses.iter().filter(|(_, pose)| pose.capture.ns() > 31_000_000_000);
+    assert!(last.count() >= 10);
+}

@@ -92,6 +92,11 @@ impl Assigned {
         Self { parts: [Some(person); Part::ALL.len()] }
     }
 
+    /// Whether a detection is the performer's, and not only parts of somebody else's. Its head goes with it.
+    pub fn is_owned(&self) -> bool {
+        self.parts[Part::Upper as usize].is_some()
+    }
+
     /// The performer's points in the frame, together. `None` if it was not seen.
     pub fn person(&self, frame: &Detections) -> Option<Person> {
         let of = |part: Part| frame.people.get(self.parts[part as usize]?);

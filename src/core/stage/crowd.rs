@@ -98,6 +98,7 @@ impl Crowd {
     pub fn next(&mut self, all: bool) -> Option<(Timestamp, Vec<Change>)> {
         let Complete { at, frames, until } = self.sets.next(all)?;
         let is_left_out = |frame: &Detections| self.left_out.get(frame.camera) == Some(&true);
+        self.people.period = Nanos::rounded(self.sets.period());
         let (aside, frames) = frames.into_iter().partition(is_left_out);
         Some((at, self.people.process(at, (frames, aside), until, &self.rig)))
     }

@@ -13,6 +13,8 @@ use crate::core::time::{Nanos, Timestamp};
 const TRUNK: [K; 6] = [K::LShoulder, K::RShoulder, K::LHip, K::RHip, K::LEar, K::REar];
 /// So many of them are triangulated where a person is seen.
 const LEAST_TRUNK: usize = 2;
+/// And it has a detection of its own in so many views. Who lives on parts of somebody else's is nobody.
+const LEAST_OWNED: usize = 2;
 /// A triangulated point is not further than this from the predicted one, metres, and this faster than
 /// the body since it was last seen, m/s.
 const REACH_M: f64 = 0.35;
@@ -21,7 +23,7 @@ const REACH_M_S: f64 = 4.0;
 const MEASURED_S: f64 = 0.12;
 const DECAY_S: f64 = 0.4;
 /// Who was in no view for this long, or is this far from where it was expected, metres, may be somebody else.
-const HIDDEN: Nanos = Nanos::from_ms(100);
+pub(super) const HIDDEN: Nanos = Nanos::from_ms(100);
 const LEAP_M: f64 = 0.25;
 /// No person is faster, m/s.
 const FASTEST_M_S: f64 = 6.0;
@@ -46,13 +48,16 @@ pub(super) struct Person {
     /// Number of views in the last of them.
     pub(super) views: usize,
     last: Vec<Option<LastSeen>>,
+    /// The cameras in whose last frames a detection is the person's, and not only parts of somebody else's.
+    pub(super) owned: Vec<usize>,
     pub(super) lengths: Lengths,
     /// Sum over the sets of the extents in all views, pixels.
     extents: f64,
     /// The largest extent in a view when the person was last seen, pixels.
     pub(super) height_px: f64,
-    /// When a view showed the trunk last.
+    /// When a view showed the trunk last, and after which time the person is hidden.
     in_view: Timestamp,
+    pub(super) hidden_after: Nanos,
     doubt: Option<Box<Doubt>>,
 }
 
@@ -80,10 +85,12 @@ impl Person {
             sets: 0,
             views: 0,
             last: vec![None; cameras],
+            owned: Vec::new(),
             lengths: Lengths::default(),
             extents: 0.0,
             height_px: 0.0,
             in_view: at,
+            hidden_after: HIDDEN,
             doubt: None,
         }
     }
@@ -131,9 +138,14 @@ impl Person {
         now - self.seen
     }
 
+    /// Whether a view shows this person beside another one.
+    pub(super) fn is_in_view_of(&self, other: &Self) -> bool {
+        self.owned.iter().any(|camera| other.owned.contains(camera))
+    }
+
     /// Whether no view has shown the person lately.
     pub(super) fn is_hidden(&self, at: Timestamp) -> bool {
-        at - self.in_view > HIDDEN
+        at - self.in_view > self.hidden_after
     }
 
     /// What the person is expected to look like.
@@ -190,7 +202,7 @@ impl Person {
             .filter_map(|&k| Some(found[k as usize]? - predicted[k as usize]?))
             .collect();
         let seconds = at.seconds_since(self.at);
-        let is_seen = of_trunk.len() >= LEAST_TRUNK;
+        let is_seen = of_trunk.len() >= LEAST_TRUNK && self.owned.len() >= LEAST_OWNED;
         let mut shift = Vector3::zeros();
         if is_seen {
             shift = of_trunk.iter().sum::<Vector3<f64>>() / of_trunk.len() as f64;
@@ -239,4 +251,31 @@ pub(super) fn apart(a: &Points, b: &Points) -> Option<f64> {
     let both = a.iter().zip(b).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm()));
     let (sum, count) = both.fold((0.0, 0.0), |(sum, count), off| (sum + off, count + 1.0));
     (count > 0.0).then(|| sum / count)
+}
+
+#[cfg(all(test, feature = "research"))]
+mod tests {
+    use super::*;
+    use crate::research::synth::ring_rig;
+
+    #[test]
+    fn who_has_only_parts_of_somebody_elses_detections_is_not_seen() {
+        let rig = ring_rig(4, 5.0, 2.0).unwrap();
+        let mut points: Points = [None; KEYPOINTS];
+        for (index, &keypoint) in TRUNK.iter().enumerate() {
+            points[keypoint as usize] = Some(Vector3::new(0.1 * index as f64, 1.2, 0.05));
+        }
+        let sight =
+            |camera: usize| (camera, points.map(|point| rig.cameras[camera].project(&point?)));
+        let views: Vec<Sight> = (0..4).map(sight).collect();
+        let ids = [0, 1, 2, 3].map(|camera| (camera, None));
+        let is_seen = |owned: &[usize]| {
+            let mut person = Person::new(points, Timestamp::default(), 4);
+            person.owned = owned.to_vec();
+            let at = Timestamp::default() + Nanos::from_ms(20);
+            person.update(at, &views, &ids, &rig, &Gates::default())
+        };
+        assert!(is_seen(&[0, 2]));
+        assert!(!is_seen(&[]) && !is_seen(&[3]));
+    }
 }

@@ -70,9 +70,7 @@ impl Core {
             tracker_state: state.unwrap_or_default().to_owned(),
             solver: match is_solved {
                 true => self.topics.actor.clone(),
-                false => solver_of(&self.solving(), performer)
-                    .unwrap_or_default()
-                    .to_owned(),
+                false => solver_of(&self.solving(), performer).unwrap_or_default().to_owned(),
             },
             place_m: place.map_or_else(Vec::new, Vec::from),
             unseen_s: unseen.seconds().max(0.0),

@@ -57,7 +57,9 @@ impl Core {
             Ok(Topic::Actor { actor, channel, .. }) => match channel {
                 ActorChannel::Keypoints if self.is_solver() => self.keypoint_set(actor, payload),
                 ActorChannel::HandOver => self.hand_over(actor, payload),
-                ActorChannel::Status if self.reads_status(actor) => self.status_of_other(actor, payload),
+                ActorChannel::Status if self.reads_status(actor) => {
+                    self.status_of_other(actor, payload)
+                }
                 _ => {}
             },
             Ok(Topic::Stage { .. }) | Err(_) => {}

@@ -199,7 +199,8 @@ impl Core {
             }
         }
         if lost > 0 && is_ours {
-            let detail = "frames from the front did not arrive: the network or this node is too slow";
+            let detail =
+                "frames from the front did not arrive: the network or this node is too slow";
             self.tell_of(performer, EventKind::Dropped, lost, detail.to_owned());
         }
         self.review(performer);

@@ -19,7 +19,7 @@ impl People {
         for Member { person, role, .. } in &self.members {
             match role {
                 Role::Performer(performer) => {
-                    let is_seen = person.unseen(self.at) <= ELSEWHERE;
+                    let is_seen = person.unseen(self.at) <= self.at_least(ELSEWHERE);
                     let life = if is_seen { Life::Confirmed } else { Life::Coasting };
                     all.performers.push(presence(*performer, life, person));
                 }

@@ -9,7 +9,7 @@ use super::known::Known;
 use super::lengths::Lengths;
 use super::names::Names;
 use super::performer_id::PerformerId;
-use super::person::{Person, Sight, apart};
+use super::person::{HIDDEN, Person, Sight, apart};
 use crate::core::association::{
     Assigned, Association, Gates, Newcomer, Part, associate, pixels_of,
 };
@@ -25,8 +25,11 @@ const DOUBTFUL: Nanos = Nanos::from_ms(120);
 const LOST: Nanos = Nanos::from_ms(1000);
 /// A performer who is not seen for this long may be where a newcomer is.
 const ELSEWHERE: Nanos = Nanos::from_ms(150);
-/// People who are this near each other on average, metres, for this long are one.
+/// Nobody is missed before this many sets.
+const SETS: f64 = 2.5;
+/// People who are this near each other on average, metres, for this long are one: the second, if no view shows both.
 const SAME_M: f64 = 0.15;
+const SAME_IN_VIEWS_M: f64 = 0.3;
 const SAME_TIME: Nanos = Nanos::from_ms(300);
 /// A bystander counts after this time.
 const STAYED: Nanos = Nanos::from_ms(500);
@@ -137,8 +140,9 @@ pub(super) struct People {
     pub(super) names: Names,
     /// Whether a newcomer gets the number of a performer without a name who has left.
     pub(super) reuses_numbers: bool,
-    /// The time of the last set.
+    /// The time of the last set, and the time between two sets.
     at: Timestamp,
+    pub(super) period: Nanos,
     /// Most bystanders at a time.
     pub(super) others: usize,
     pub(super) last: FrameSet,
@@ -156,9 +160,15 @@ impl People {
             names: Names::default(),
             reuses_numbers: false,
             at: Timestamp::default(),
+            period: Nanos::ZERO,
             others: 0,
             last: FrameSet::default(),
         }
+    }
+
+    /// A time without a person, which is not shorter than some sets of slow cameras.
+    fn at_least(&self, time: Nanos) -> Nanos {
+        time.max(Nanos::rounded(SETS * self.period.ns() as f64))
     }
 
     /// The performers so far, without their bodies.
@@ -216,6 +226,8 @@ impl People {
         rig: &Rig,
     ) -> Vec<Change> {
         self.at = at;
+        let hidden_after = self.at_least(HIDDEN);
+        self.members.iter_mut().for_each(|one| one.person.hidden_after = hidden_after);
         let seen: Vec<&Detections> = frames.iter().collect();
         let expected: Vec<_> = self.members.iter().map(|m| m.person.expected(at)).collect();
         let found = associate(rig, &seen, &expected, &self.gates);
@@ -314,13 +326,17 @@ impl People {
         let ranks: Vec<(usize, Timestamp)> =
             self.members.iter().map(|m| (rank(m), m.person.first)).collect();
         let mut dropped = Vec::new();
-        for (index, member) in self.members.iter_mut().enumerate() {
+        for index in 0..self.members.len() {
             let is_double = |other: &usize| {
+                let [one, two] = [&self.members[*other].person, &self.members[index].person];
+                let same = if one.is_in_view_of(two) { SAME_M } else { SAME_IN_VIEWS_M };
                 (ranks[*other], *other) < (ranks[index], index)
                     && !is_hidden[*other]
-                    && apart(&places[*other], &places[index]).is_some_and(|off| off < SAME_M)
+                    && apart(&places[*other], &places[index]).is_some_and(|off| off < same)
             };
-            let Some(older) = (0..places.len()).find(is_double) else {
+            let older = (0..places.len()).find(is_double);
+            let member = &mut self.members[index];
+            let Some(older) = older else {
                 member.close_since = None;
                 continue;
             };
@@ -342,10 +358,11 @@ impl People {
 
     /// Members who were not seen for too long go; performers who were not seen for much longer have left.
     fn lose(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
+        let [doubtful, lost] = [DOUBTFUL, LOST].map(|time| self.at_least(time));
         let is_gone = |member: &mut Member| {
             let longest = match member.role {
-                Role::Candidate(_) => DOUBTFUL,
-                Role::Performer(_) | Role::Bystander => LOST,
+                Role::Candidate(_) => doubtful,
+                Role::Performer(_) | Role::Bystander => lost,
             };
             member.person.unseen(at) > longest
         };
@@ -392,10 +409,45 @@ impl Person {
             Some((sight, (frame.camera, person.id)))
         };
         let (views, ids): (Vec<_>, Vec<_>) = frames.iter().zip(assigned).filter_map(own).unzip();
+        let owned = frames.iter().zip(assigned).filter(|(_, assigned)| assigned.is_owned());
+        self.owned = owned.map(|(frame, _)| frame.camera).collect();
         self.update(at, &views, &ids, rig, gates);
         frames.iter().zip(assigned).map(|(frame, assigned)| {
             let people = assigned.person(frame).into_iter().collect();
             Detections { people, ..*frame }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::core::association::KEYPOINTS;
+
+    /// How many are left of two people this far from each other, metres, who have detections in these views.
+    fn left_of(apart: f64, views: [&[usize]; 2]) -> usize {
+        let at = |ms: i64| Timestamp::default() + Nanos::from_ms(ms);
+        let mut people = People::new(4, Gates::default());
+        for (performer, owned) in views.into_iter().enumerate() {
+            let point = Some(Vector3::new(apart * performer as f64, 1.0, 0.0));
+            let mut person = Person::new([point; KEYPOINTS], at(0), 4);
+            (person.owned, person.hidden_after) = (owned.to_vec(), Nanos::SECOND);
+            let (role, wish) = (Role::Performer(performer), Wish::Open);
+            people.members.push(Member { person, role, wish, was: None, close_since: None });
+        }
+        let mut changes = Vec::new();
+        (0..50).for_each(|set| people.drop_doubles(at(10 * set), &mut changes));
+        assert_eq!(changes.len(), 2 - people.members.len(), "each is said");
+        people.members.len()
+    }
+
+    #[test]
+    fn people_whom_no_view_shows_beside_each_other_are_one() {
+        assert_eq!(left_of(0.25, [&[0, 3], &[1, 2]]), 1);
+        assert_eq!(left_of(0.25, [&[0, 1], &[1, 2]]), 2);
+        assert_eq!(left_of(0.4, [&[0, 3], &[1, 2]]), 2);
+        assert_eq!(left_of(0.1, [&[0, 1], &[1, 2]]), 1);
     }
 }

@@ -54,10 +54,11 @@ impl People {
     pub(super) fn confirm(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
         let is_open = self.has_place();
         let is_ready = |&index: &usize| {
-            let Member { person, role, wish, .. } = &self.members[index];
+            let Member { person, role, wish, close_since, .. } = &self.members[index];
             let is_known = || matches!(self.judge(index, at), Verdict::Known(_));
             match role {
-                Role::Candidate(_) => person.sets >= CONFIRMED,
+                // Who is in the place of somebody else may be that one.
+                Role::Candidate(_) => person.sets >= CONFIRMED && close_since.is_none(),
                 // Who comes to the region later, or is recognised later.
                 Role::Bystander if !is_open || person.seen < at => false,
                 Role::Bystander => self.is_chosen(index) || *wish == Wish::Open && is_known(),
@@ -177,13 +178,14 @@ impl People {
         Some(number)
     }
 
-    /// The performer who is expected in a place where it is not, and may be this candidate.
+    /// The performer who is expected in a place where it is not, and may be this candidate: no view shows both.
     fn elsewhere(&self, candidate: usize, at: Timestamp) -> Option<usize> {
         let candidate = &self.members[candidate].person;
         let missed = (0..self.members.len()).filter(|&index| {
             let Member { person, role, .. } = &self.members[index];
             matches!(role, Role::Performer(_))
-                && person.unseen(at) > ELSEWHERE
+                && !person.is_in_view_of(candidate)
+                && person.unseen(at) > self.at_least(ELSEWHERE)
                 && may_be_there(person, candidate, at)
         });
         let differences = missed.filter_map(|index| {
