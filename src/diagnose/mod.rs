@@ -121,7 +121,7 @@ impl Check {
 
     /// How wrong the order of the keypoints seems: limbs that are not those of people count more than any fault.
     pub fn odd_order(&self) -> f64 {
-        let strange = self.strangeness.filter(|strangeness| *strangeness > STRANGE);
+        let strange = Some(self.strangeness.unwrap_or(STRANGE)).filter(|by| *by >= STRANGE);
         1000.0 * strange.unwrap_or(0.0) + self.faults() as f64
     }
 

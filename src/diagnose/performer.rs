@@ -155,6 +155,9 @@ const LIMBS: [(Keypoint, Keypoint, f64); 10] = [
     (RShoulder, RHip, 0.288),
 ];
 
+/// Fewer limbs say nothing.
+const LEAST_LIMBS: usize = 6;
+
 /// How strange the limbs are: how much their lengths change over time, as a part of the lengths, plus how far their
 /// proportions are from usual ones, RMS of logarithms. Large if the keypoints are in another order than declared.
 pub(super) fn strangeness(frames: &[Points]) -> Option<f64> {
@@ -163,8 +166,11 @@ pub(super) fn strangeness(frames: &[Points]) -> Option<f64> {
         let off = |p: &Points| Some(((at(p, a)? - at(p, b)?).norm() - usual).abs());
         Some((medians(frames, off)? / usual, libm::log(usual / part)))
     };
-    let limbs: Option<Vec<(f64, f64)>> = LIMBS.into_iter().map(of_limb).collect();
-    let (mut changes, heights): (Vec<f64>, Vec<f64>) = limbs?.into_iter().unzip();
+    let (mut changes, heights): (Vec<f64>, Vec<f64>) =
+        LIMBS.into_iter().filter_map(of_limb).unzip();
+    if changes.len() < LEAST_LIMBS {
+        return None;
+    }
     let mean = heights.iter().sum::<f64>() / heights.len() as f64;
     let squares = heights.iter().map(|height| (height - mean) * (height - mean)).sum::<f64>();
     Some(median(&mut changes)? + libm::sqrt(squares / heights.len() as f64))

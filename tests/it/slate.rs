@@ -50,7 +50,16 @@ pub fn recorded(mut world: World, messages: Vec<Sent>, seconds: f64) -> (World, 
 }
 
 pub fn replayed(recorded: &[Recorded], run: Option<&str>) -> Result<Replayed, ReplayError> {
-    replay(recorded, &Topics::default(), run, |start| {
+    replayed_as(recorded, &Topics::default(), run)
+}
+
+/// A run of the node with these topics.
+pub fn replayed_as(
+    recorded: &[Recorded],
+    topics: &Topics,
+    run: Option<&str>,
+) -> Result<Replayed, ReplayError> {
+    replay(recorded, topics, run, |start| {
         let decoder = Decoder::embedded().unwrap();
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
         let (body, carried) = (start.body.clone(), Carried::of(start));

@@ -154,7 +154,10 @@ impl Recorder {
             Ok(Topic::Stage { channel: StageChannel::Rig, .. }) => self.rig = Some(entry),
             Ok(
                 Topic::Stage { channel: StageChannel::Keypoints { .. }, .. }
-                | Topic::Actor { channel: ActorChannel::Keypoints | ActorChannel::HandOver, .. },
+                | Topic::Actor {
+                    channel: ActorChannel::Keypoints | ActorChannel::HandOver | ActorChannel::Status,
+                    ..
+                },
             ) => {
                 let from = entry.log_time - MARGIN;
                 self.recent.push_back(entry);

@@ -13,7 +13,8 @@ use crate::core::time::{Nanos, Timestamp};
 const TRUNK: [K; 6] = [K::LShoulder, K::RShoulder, K::LHip, K::RHip, K::LEar, K::REar];
 /// So many of them are triangulated where a person is seen.
 const LEAST_TRUNK: usize = 2;
-/// And it has a detection of its own in so many views. Who lives on parts of somebody else's is nobody.
+/// And it has a detection of its own in so many views: a track that has only parts of other people's detections is not
+/// seen.
 const LEAST_OWNED: usize = 2;
 /// A triangulated point is not further than this from the predicted one, metres, and this faster than
 /// the body since it was last seen, m/s.
@@ -139,8 +140,14 @@ impl Person {
     }
 
     /// Whether a view shows this person beside another one.
-    pub(super) fn is_in_view_of(&self, other: &Self) -> bool {
+    pub(super) fn is_beside(&self, other: &Self) -> bool {
         self.owned.iter().any(|camera| other.owned.contains(camera))
+    }
+
+    /// Whether this one and another one are both seen, and no view shows both.
+    pub(super) fn shares_views_with(&self, other: &Self) -> bool {
+        let are_seen = [self, other].iter().all(|one| one.owned.len() >= LEAST_OWNED);
+        are_seen && !self.is_beside(other)
     }
 
     /// Whether no view has shown the person lately.
@@ -211,7 +218,8 @@ impl Person {
         let has_trunk = |(_, pixels): &Sight| {
             TRUNK.iter().filter(|&&k| pixels[k as usize].is_some()).count() >= LEAST_TRUNK
         };
-        if views.iter().any(has_trunk) {
+        let is_own = |(camera, _): &&Sight| self.owned.contains(camera);
+        if views.iter().filter(is_own).any(has_trunk) {
             if self.doubt.is_none() && (self.is_hidden(at) || shift.norm() > LEAP_M) {
                 let doubt = Doubt { before: self.clone(), lengths: Lengths::default(), first: at };
                 self.doubt = Some(Box::new(doubt));

@@ -59,7 +59,7 @@ impl Core {
         let own = self.performers.get(performer.0);
         let is_solved = self.settings.stage.solve;
         let name = self.name_of(performer.0);
-        let told = self.told_of(&name);
+        let told = self.status_of(&name);
         let own_state = progress.get(performer.0).filter(|_| is_solved).map(|one| one.state);
         let state = told.map(|told| &*told.tracker_state).or(own_state);
         let residual_px = told.map(|told| told.residual_px).or(own.map(|own| own.residual_px));
@@ -70,7 +70,7 @@ impl Core {
             tracker_state: state.unwrap_or_default().to_owned(),
             solver: match is_solved {
                 true => self.topics.actor.clone(),
-                false => solver_of(&self.solving(), performer).unwrap_or_default().to_owned(),
+                false => solver_of(&self.responding(), performer).unwrap_or_default().to_owned(),
             },
             place_m: place.map_or_else(Vec::new, Vec::from),
             unseen_s: unseen.seconds().max(0.0),

@@ -8,6 +8,7 @@ pub(super) mod journal;
 mod latency;
 mod mend;
 mod messages;
+mod peers;
 mod performer;
 mod performers;
 pub(super) mod port;
@@ -16,7 +17,6 @@ mod rigs;
 mod sharing;
 mod status;
 pub(super) mod take;
-mod told;
 mod watch;
 
 use std::collections::VecDeque;
@@ -34,12 +34,12 @@ use events::Events;
 use governor::Governor;
 use journal::Journal;
 use latency::Finder;
+use peers::Peers;
 use performer::{Performer, Progress, coasted_and_missed, state_of_all, windows_of_all};
 use port::{Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings};
 use publication::{Content, Publication};
 use sharing::Sharing;
 use status::Published;
-use told::Told;
 
 /// The current calibration and its bytes.
 struct Calibration {
@@ -85,8 +85,8 @@ pub struct Core {
     is_changed: bool,
     /// Of a solver: the performers of the stage.
     sharing: Sharing,
-    /// Not solving: what the solvers tell.
-    told: Told,
+    /// The other nodes of the stage.
+    peers: Peers,
     /// Number of jobs that are out.
     jobs: usize,
     /// The take that begins as soon as no job is out.
@@ -140,7 +140,7 @@ impl Core {
             is_flushed: false,
             is_changed: false,
             sharing: Sharing::default(),
-            told: Told::default(),
+            peers: Peers::default(),
             jobs: 0,
             others: 0,
             starting: None,
@@ -155,9 +155,11 @@ impl Core {
 
     /// Handles an input. `now` is the node's clock, nanoseconds since 1970; it never goes back.
     pub fn handle(&mut self, now: Timestamp, input: Input) {
-        self.told.pause(now - self.now);
         self.now = self.now.max(now);
         let input = if self.changes_nothing(&input) { Input::Tick } else { input };
+        if matches!(input, Input::Message { .. }) {
+            self.note_message();
+        }
         let (settings, rig) = (&self.settings, self.rig_at_start.as_deref());
         let is_first = self.journal.count == 0 && matches!(input, Input::Message { .. });
         if is_first {
@@ -382,7 +384,7 @@ impl Core {
         for (kind, performer, message) in self.counts.second() {
             self.publish_event(kind, performer, message);
         }
-        self.review_told();
+        self.review_peers();
         for camera in &mut self.cameras {
             camera.second(passed);
         }
@@ -406,7 +408,7 @@ impl Core {
         };
         let mut status = self.status(of_node);
         if self.is_front() {
-            status = self.with_told(status);
+            status = self.with_solvers(status);
         }
         let capture = self.clock.capture_time(self.now);
         let known = self.solved_here();

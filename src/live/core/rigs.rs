@@ -45,11 +45,11 @@ impl Core {
     /// copy of it. The node's own rig comes back from the bus too; a run may begin with that.
     pub(super) fn changes_nothing(&self, input: &Input) -> bool {
         let Input::Message { topic, payload } = input else { return false };
-        if self.journal.count == 0 {
-            return false;
-        }
         if let Ok(Topic::Actor { actor, channel: ActorChannel::Status, .. }) = Topic::parse(topic) {
             return !self.reads_status(actor);
+        }
+        if self.journal.count == 0 {
+            return false;
         }
         let is_refused = || {
             let known = &self.known_rigs;

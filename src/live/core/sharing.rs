@@ -79,6 +79,8 @@ pub(super) struct Sharing {
     performers: BTreeMap<PerformerId, Shared>,
     /// When the solvers came that came in this run.
     since: BTreeMap<String, Timestamp>,
+    /// Up to when the frames of the last set are complete.
+    complete: Timestamp,
     /// By camera, the newest capture time.
     newest: BTreeMap<usize, Timestamp>,
 }
@@ -101,12 +103,16 @@ impl Sharing {
         ours.map(|(number, _)| *number).collect()
     }
 
+    /// Whether no performer has entered yet.
+    pub(super) fn is_empty(&self) -> bool {
+        self.performers.is_empty()
+    }
+
     /// Those of them who are followed: their frames come.
     pub(super) fn followed(&self) -> Vec<PerformerId> {
-        let newest = self.newest.values().max().copied().unwrap_or_default();
         let is_followed = |number: &PerformerId| {
             let last = self.performers.get(number).and_then(|shared| shared.last);
-            last.is_some_and(|last| newest - last.complete < SILENT)
+            last.is_some_and(|last| self.complete - last.complete < SILENT)
         };
         self.ours().into_iter().filter(is_followed).collect()
     }
@@ -131,6 +137,10 @@ impl Core {
     /// The solvers that are there, in order of their names.
     pub(super) fn solvers(&mut self, names: Vec<String>) {
         let before = std::mem::replace(&mut self.settings.carried.solvers, names);
+        let solvers = &self.settings.carried.solvers;
+        let new: Vec<String> =
+            solvers.iter().filter(|name| !before.contains(name)).cloned().collect();
+        new.iter().for_each(|solver| self.peers.heard(solver, self.now));
         let all = self.settings.carried.solvers.join(", ");
         if !self.is_solver() {
             let detail = match all.is_empty() {
@@ -141,11 +151,9 @@ impl Core {
             return self.event(EventKind::Solver, None, detail);
         }
         let solvers = &self.settings.carried.solvers;
-        let new: Vec<&String> = solvers.iter().filter(|name| !before.contains(name)).collect();
-        new.iter().for_each(|solver| self.told.comes(solver, self.now));
         let is_new = !new.is_empty();
         self.sharing.since.retain(|name, _| solvers.contains(name));
-        self.sharing.since.extend(new.into_iter().map(|name| (name.clone(), self.now)));
+        self.sharing.since.extend(new.into_iter().map(|name| (name, self.now)));
         let all: Vec<PerformerId> = self.sharing.performers.keys().copied().collect();
         for performer in all {
             let shared = self.sharing.performers.get(&performer);
@@ -174,6 +182,7 @@ impl Core {
         self.note_arrivals(&set.frames);
         *self.label_mut(performer.0) = message.label.unwrap_or_default();
         let (run_id, number, complete) = (message.run_id, message.number, set.complete);
+        self.sharing.complete = complete;
         let shared = self.sharing.performers.entry(performer).or_default();
         let last = shared.last.replace(Last { run_id, number, complete });
         let (lost, entered) =
@@ -262,6 +271,9 @@ impl Core {
     /// Another solver tells what it knows of a performer.
     fn state_of_other(&mut self, actor: &str, mut message: HandOver) {
         let (performer, now) = (PerformerId(message.performer as usize), self.now);
+        if self.is_other_solver(&message.solver) {
+            self.peers.heard(&message.solver, now);
+        }
         let is_winner = self.is_winner(performer);
         let shared = self.sharing.performers.entry(performer).or_default();
         // The last state under a former name is of no use.
@@ -295,12 +307,12 @@ impl Core {
     }
 
     fn is_winner(&self, performer: PerformerId) -> bool {
-        solver_of(&self.solving(), performer) == Some(self.topics.actor.as_str())
+        solver_of(&self.responding(), performer) == Some(self.topics.actor.as_str())
     }
 
     /// Takes or releases a performer, if it is time to.
     fn review(&mut self, performer: PerformerId) {
-        let solvers = self.solving();
+        let solvers = self.responding();
         let Some(winner) = solver_of(&solvers, performer) else { return };
         let is_winner = *winner == *self.topics.actor;
         // Who came just now has no frames of the time before.
@@ -380,11 +392,21 @@ impl Core {
         shared.state = Some(state.clone());
         self.publish_state(state);
         self.release_here(performer);
-        let mut others = self.solving();
+        let mut others = self.responding();
         others.retain(|name| *name != self.topics.actor);
         let next = solver_of(&others, performer).unwrap_or("nobody");
         let detail = format!("not solved here any more; {next} goes on");
         self.tell_of(performer, EventKind::Solver, 1, detail);
+    }
+
+    /// This node was cut off, and others may solve its performers by now: it waits until they say so, or say nothing.
+    pub(super) fn step_back(&mut self) {
+        for performer in self.sharing.ours() {
+            if let Some(shared) = self.sharing.performers.get_mut(&performer) {
+                (shared.is_ours, shared.heard) = (false, self.now);
+            }
+            self.release_here(performer);
+        }
     }
 
     /// Releases all performers: the node ends.

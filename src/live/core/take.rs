@@ -47,7 +47,7 @@ impl Core {
         // The front answers for solvers.
         match &*take.action {
             "start" | "stop" => {}
-            "reset" if self.is_solver() => {
+            "reset" | "label" | "lock" | "unlock" if self.is_solver() => {
                 let _ = self.follow(&take);
                 return;
             }

@@ -25,11 +25,12 @@ const DOUBTFUL: Nanos = Nanos::from_ms(120);
 const LOST: Nanos = Nanos::from_ms(1000);
 /// A performer who is not seen for this long may be where a newcomer is.
 const ELSEWHERE: Nanos = Nanos::from_ms(150);
-/// Nobody is missed before this many sets.
-const SETS: f64 = 2.5;
-/// People who are this near each other on average, metres, for this long are one: the second, if no view shows both.
+/// A person is away only after this many frame periods.
+const MIN_PERIODS: f64 = 2.5;
+/// People who are this near each other on average, metres, for this long are one. The second distance holds if each view
+/// shows only one of them.
 const SAME_M: f64 = 0.15;
-const SAME_IN_VIEWS_M: f64 = 0.3;
+const SAME_UNSEEN_M: f64 = 0.3;
 const SAME_TIME: Nanos = Nanos::from_ms(300);
 /// A bystander counts after this time.
 const STAYED: Nanos = Nanos::from_ms(500);
@@ -168,7 +169,7 @@ impl People {
 
     /// A time without a person, which is not shorter than some sets of slow cameras.
     fn at_least(&self, time: Nanos) -> Nanos {
-        time.max(Nanos::rounded(SETS * self.period.ns() as f64))
+        time.max(Nanos::rounded(MIN_PERIODS * self.period.ns() as f64))
     }
 
     /// The performers so far, without their bodies.
@@ -329,7 +330,7 @@ impl People {
         for index in 0..self.members.len() {
             let is_double = |other: &usize| {
                 let [one, two] = [&self.members[*other].person, &self.members[index].person];
-                let same = if one.is_in_view_of(two) { SAME_M } else { SAME_IN_VIEWS_M };
+                let same = if one.shares_views_with(two) { SAME_UNSEEN_M } else { SAME_M };
                 (ranks[*other], *other) < (ranks[index], index)
                     && !is_hidden[*other]
                     && apart(&places[*other], &places[index]).is_some_and(|off| off < same)
@@ -447,6 +448,9 @@ mod tests {
     fn people_whom_no_view_shows_beside_each_other_are_one() {
         assert_eq!(left_of(0.25, [&[0, 3], &[1, 2]]), 1);
         assert_eq!(left_of(0.25, [&[0, 1], &[1, 2]]), 2);
+        // One of them is hidden.
+        assert_eq!(left_of(0.25, [&[0, 1, 2], &[]]), 2);
+        assert_eq!(left_of(0.25, [&[3], &[0, 1, 2]]), 2);
         assert_eq!(left_of(0.4, [&[0, 3], &[1, 2]]), 2);
         assert_eq!(left_of(0.1, [&[0, 1], &[1, 2]]), 1);
     }

@@ -184,7 +184,7 @@ impl People {
         let missed = (0..self.members.len()).filter(|&index| {
             let Member { person, role, .. } = &self.members[index];
             matches!(role, Role::Performer(_))
-                && !person.is_in_view_of(candidate)
+                && !person.is_beside(candidate)
                 && person.unseen(at) > self.at_least(ELSEWHERE)
                 && may_be_there(person, candidate, at)
         });
