@@ -145,6 +145,11 @@ impl World {
         self.now = until;
     }
 
+    /// The node does not run until then.
+    pub fn sleep_until(&mut self, at: Timestamp) {
+        self.now = at;
+    }
+
     /// Gives an input to the core, and handles the outputs.
     pub fn tell(&mut self, input: Input) {
         self.core.handle(self.now, input);

@@ -33,6 +33,9 @@ enum Happens {
     IsBack,
     /// It hears and says nothing from here on, but its connections stay.
     Hangs,
+    /// It is stopped, and goes on with everything that came meanwhile.
+    Sleeps,
+    WakesUp,
     /// The next set of everybody's frames is lost on the way to it, or all are.
     LosesASet,
     IsDeaf,
@@ -42,7 +45,8 @@ enum Happens {
     IsTold(&'static str),
 }
 use Happens::{
-    Echoes, Hangs, IsBack, IsCutOff, IsDeaf, IsKilled, IsTold, Leaves, LosesASet, Starts,
+    Echoes, Hangs, IsBack, IsCutOff, IsDeaf, IsKilled, IsTold, Leaves, LosesASet, Sleeps, Starts,
+    WakesUp,
 };
 
 /// A node and the number of its messages that are on their way.
@@ -52,6 +56,7 @@ struct Node {
     /// It hears and says nothing from here on.
     killed: Option<Timestamp>,
     is_cut_off: bool,
+    is_asleep: bool,
     /// Everything that it was sent.
     inputs: Vec<Sent>,
 }
@@ -59,7 +64,14 @@ struct Node {
 impl Node {
     fn new(stage: &Stage, known: &[Known]) -> Self {
         let world = World::knowing(&stage.config, known.to_vec());
-        Self { world, sent: 0, killed: None, is_cut_off: false, inputs: Vec::new() }
+        Self {
+            world,
+            sent: 0,
+            killed: None,
+            is_cut_off: false,
+            is_asleep: false,
+            inputs: Vec::new(),
+        }
     }
 
     /// The messages since the last call that other nodes of the stage read.
@@ -138,6 +150,12 @@ fn play(
                 }
                 IsCutOff => nodes.get_mut(*name).unwrap().is_cut_off = true,
                 IsBack => nodes.get_mut(*name).unwrap().is_cut_off = false,
+                Sleeps => nodes.get_mut(*name).unwrap().is_asleep = true,
+                WakesUp => {
+                    let node = nodes.get_mut(*name).unwrap();
+                    node.is_asleep = false;
+                    node.world.sleep_until(now);
+                }
                 Hangs => nodes.get_mut(*name).unwrap().killed = Some(now),
                 IsTold(action) => {
                     let told = slate(action, name, now.seconds_since(at(0.0)));
@@ -167,7 +185,8 @@ fn play(
             notices.push((now + NOTICED, Vec::from_iter(solvers.clone())));
         }
         let mut said = Vec::new();
-        for (name, node) in nodes.iter_mut().filter(|(_, node)| node.killed.is_none()) {
+        let runs = |node: &Node| node.killed.is_none() && !node.is_asleep;
+        for (name, node) in nodes.iter_mut().filter(|(_, node)| runs(node)) {
             for (_, names) in notices.iter().filter(|(at, _)| *at <= now) {
                 node.world.tell(Input::Solvers(names.clone()));
             }
@@ -336,6 +355,19 @@ fn a_solver_that_was_cut_off_goes_on() {
         let each = (60.0 * (seconds - 0.35 - settled)) as usize;
         assert!(late.count() >= PEOPLE * each, "{back}");
     }
+}
+
+/// A solver that was stopped publishes nothing of the time in which others went on.
+#[test]
+fn a_solver_that_was_stopped_steps_back() {
+    let script = start_three(&[(2.5, "a", Sleeps), (7.5, "a", WakesUp)]);
+    let nodes = play((stage_of(PEOPLE, 4, 10.5), 10.5), &[], &script);
+    let [before, without, after] =
+        [[0.0, 2.0], [6.0, 7.0], [9.5, 10.5]].map(|range| who(&nodes, range));
+    assert!(before.contains_key("a") && !without.contains_key("a"), "{before:?} {without:?}");
+    assert_eq!(before, after);
+    // Each is at its time, and comes once.
+    poses_of(&nodes);
 }
 
 /// What a front and a solver got and published, replayed.

@@ -155,7 +155,7 @@ impl Core {
 
     /// Handles an input. `now` is the node's clock, nanoseconds since 1970; it never goes back.
     pub fn handle(&mut self, now: Timestamp, input: Input) {
-        self.now = self.now.max(now);
+        self.note_time(now);
         let input = if self.changes_nothing(&input) { Input::Tick } else { input };
         if matches!(input, Input::Message { .. }) {
             self.note_message();

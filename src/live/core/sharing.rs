@@ -401,12 +401,17 @@ impl Core {
 
     /// This node was cut off, and others may solve its performers by now: it waits until they say so, or say nothing.
     pub(super) fn step_back(&mut self) {
+        if !self.settings.carried.solvers.iter().any(|solver| self.is_other_solver(solver)) {
+            return;
+        }
         for performer in self.sharing.ours() {
             if let Some(shared) = self.sharing.performers.get_mut(&performer) {
                 (shared.is_ours, shared.heard) = (false, self.now);
             }
             self.release_here(performer);
         }
+        // Before the trackers hear what time it is.
+        self.drain();
     }
 
     /// Releases all performers: the node ends.
