@@ -136,9 +136,9 @@ impl Evidence {
         }
     }
 
-    /// Judges the cameras by the performer who moved most; without one, by everybody in view. If something seems wrong, the
-    /// other performers are asked too: somebody whom a camera often loses in a crowd makes it look wrong, but a fault of
-    /// a camera shows in everybody. `rig` are the same cameras, perhaps with other time offsets.
+    /// Judges the cameras by the performer who moved most; without one, by everybody in view. If a camera
+    /// seems wrong, the other performers are checked too: a performer whom a camera often loses makes it look wrong, but a
+    /// real fault shows with every performer. `rig` are the same cameras, perhaps with other time offsets.
     pub fn check(mut self, rig: &Rig) -> Check {
         if let Some(crowd) = &mut self.crowd {
             crowd.end();
@@ -164,6 +164,6 @@ impl Evidence {
         if by_mover.is_clean() || by_mover.tells_of_motion() {
             return by_mover;
         }
-        others.iter().map(|other| check_by(other)).fold(by_mover, Check::with)
+        others.iter().map(|other| check_by(other)).fold(by_mover, Check::joined)
     }
 }

@@ -33,7 +33,7 @@ use serde::Serialize;
 
 use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
-use consensus::{Points, Scene};
+use consensus::Scene;
 use judge::{Judged, judge};
 use reading::Reading;
 
@@ -41,7 +41,7 @@ use reading::Reading;
 const INSTANTS: usize = 60;
 /// A camera of which fewer points agree fits loosely. That is no finding.
 const LOOSELY_PERCENT: f64 = 60.0;
-/// A camera of which fewer points agree with one performer may be wrong, whatever another one says.
+/// A check in which fewer points agree does not clear a camera that another check finds wrong.
 const LEAST_PERCENT: f64 = 30.0;
 /// The order of the keypoints is wrong if another one makes the limbs this much less strange.
 const LESS_STRANGE: f64 = 0.5;
@@ -59,7 +59,7 @@ pub struct Check {
     pub cameras: Vec<CameraCheck>,
     /// What is wrong with all cameras or the whole recording.
     pub findings: Vec<Finding>,
-    /// How strange the performer's limbs are, see `performer`.
+    /// How strange the performer's limbs are, see `performer::strangeness`.
     #[serde(skip)]
     strangeness: Option<f64>,
 }
@@ -119,7 +119,8 @@ impl Check {
         others.count() + self.cameras.iter().filter(|camera| !camera.findings.is_empty()).count()
     }
 
-    /// How wrong the order of the keypoints seems: limbs that are not those of people count more than any fault.
+    /// How wrong the order of the keypoints seems, no unit; 0: nothing is wrong. Limbs that are not those of people count
+    /// more than any number of faults.
     pub fn odd_order(&self) -> f64 {
         let strange = Some(self.strangeness.unwrap_or(STRANGE)).filter(|by| *by >= STRANGE);
         1000.0 * strange.unwrap_or(0.0) + self.faults() as f64
@@ -157,8 +158,8 @@ impl Check {
         findings.any(|finding| ["time_shift", "shuffled"].contains(&finding.cause))
     }
 
-    /// What this check and that by another performer say together. A camera that fits one of them is right.
-    fn with(self, other: Self) -> Self {
+    /// Combines the checks by two performers. A camera that fits in one of them is right.
+    fn joined(self, other: Self) -> Self {
         if self.findings.len() != other.findings.len() {
             return if self.findings.len() < other.findings.len() { self } else { other };
         }
@@ -272,23 +273,18 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
     if general.iter().all(|finding| finding.cause != "disagree") {
         general.extend(performer::findings(&points, consensus.count()));
     }
-    if let Some(finding) = wrong_format(fixed, consensus, &points) {
+    let strangeness = performer::strangeness(&points);
+    if let Some(finding) = strangeness.and_then(|now| wrong_format(fixed, consensus, now)) {
         general = vec![finding];
     }
     let (performer_height_m, performer_up) = (performer::height_m(&points), performer::up(&points));
-    let strangeness = performer::strangeness(&points);
     Check { performer_height_m, performer_up, cameras, findings: general, strangeness }
 }
 
-/// The keypoints of all cameras in the order of another format with as many points.
-fn wrong_format(
-    scene: &Scene,
-    consensus: &consensus::Consensus,
-    points: &[Points],
-) -> Option<Finding> {
+/// Whether the limbs are less strange in the order of another format with as many points. `now`: how strange they are.
+fn wrong_format(scene: &Scene, consensus: &consensus::Consensus, now: f64) -> Option<Finding> {
     let declared =
         scene.footage.tracks.iter().find_map(|track| Some(track.frames.first()?.format))?;
-    let now = performer::strangeness(points)?;
     let others = KeypointFormat::ALL.into_iter();
     let others = others.filter(|other| *other != declared && other.len() == declared.len());
     others.into_iter().find_map(|other| {

@@ -158,8 +158,8 @@ const LIMBS: [(Keypoint, Keypoint, f64); 10] = [
 /// Fewer limbs say nothing.
 const LEAST_LIMBS: usize = 6;
 
-/// How strange the limbs are: how much their lengths change over time, as a part of the lengths, plus how far their
-/// proportions are from usual ones, RMS of logarithms. Large if the keypoints are in another order than declared.
+/// How strange the limbs are, no unit: the median change of their lengths over time as a part of the lengths, plus the RMS
+/// of the logarithms of their proportions against usual ones. Large if the keypoints are in another order than declared.
 pub(super) fn strangeness(frames: &[Points]) -> Option<f64> {
     let of_limb = |(a, b, part): (Keypoint, Keypoint, f64)| {
         let usual = length(frames, a, b)?.max(1e-12);

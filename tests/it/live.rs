@@ -37,6 +37,13 @@ pub struct Sent {
     pub payload: Vec<u8>,
 }
 
+impl From<Sent> for Recorded {
+    fn from(Sent { arrival, topic, payload }: Sent) -> Self {
+        let (capture, schema) = (Timestamp::default(), "".into());
+        Self { time: arrival, capture, topic: topic.into(), schema, payload }
+    }
+}
+
 /// All outputs, with their times.
 #[derive(Default)]
 pub struct Heard {
@@ -145,9 +152,10 @@ impl World {
         self.now = until;
     }
 
-    /// The node does not run until then.
+    /// The node does not run until then. The first input after that is its timer's.
     pub fn sleep_until(&mut self, at: Timestamp) {
         self.now = at;
+        self.tell(Input::Tick);
     }
 
     /// Gives an input to the core, and handles the outputs.
@@ -409,13 +417,7 @@ fn replays_to_the_same_bytes(body: Option<Vec<u8>>) {
     };
     assert_eq!(skeletons.first().is_some_and(is_given), body.is_some());
     let mut recorded = world.heard.messages;
-    recorded.extend(messages.into_iter().map(|sent| Recorded {
-        time: sent.arrival,
-        capture: Timestamp::default(),
-        topic: sent.topic.into(),
-        schema: "".into(),
-        payload: sent.payload,
-    }));
+    recorded.extend(messages.into_iter().map(Recorded::from));
     let replayed = replay(&recorded, &Topics::default(), None, |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
         let solver = Solver::new(decoder.clone(), config.tracker);
@@ -737,13 +739,7 @@ fn losses_are_inputs_of_a_replay() {
 
 /// All messages of a run, as a recorder has them.
 fn recorded(world: World, sent: Vec<Sent>) -> Vec<Recorded> {
-    let sent = sent.into_iter().map(|sent| Recorded {
-        time: sent.arrival,
-        capture: Timestamp::default(),
-        topic: sent.topic.into(),
-        schema: "".into(),
-        payload: sent.payload,
-    });
+    let sent = sent.into_iter().map(Recorded::from);
     world.heard.messages.into_iter().chain(sent).collect()
 }
 

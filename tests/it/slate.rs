@@ -3,7 +3,7 @@
 use bundlemocap::config::Config;
 use bundlemocap::core::body::{self, Joint, Shape};
 use bundlemocap::core::manifold::Decoder;
-use bundlemocap::core::time::{Nanos, Timestamp};
+use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::Solver;
 use bundlemocap::io::wire::{
     Event, PerformerLabel, Skeleton, Status, Take, TakeAnswer, Topics, encode,
@@ -39,13 +39,7 @@ pub fn recorded(mut world: World, messages: Vec<Sent>, seconds: f64) -> (World, 
     world.play(messages.clone(), at(seconds));
     world.end();
     let mut recorded = world.heard.messages.clone();
-    recorded.extend(messages.into_iter().map(|sent| Recorded {
-        time: sent.arrival,
-        capture: Timestamp::default(),
-        topic: sent.topic.into(),
-        schema: "".into(),
-        payload: sent.payload,
-    }));
+    recorded.extend(messages.into_iter().map(Recorded::from));
     (world, recorded)
 }
 

@@ -92,7 +92,8 @@ impl Assigned {
         Self { parts: [Some(person); Part::ALL.len()] }
     }
 
-    /// Whether a detection is the performer's, and not only parts of somebody else's. Its head goes with it.
+    /// Whether the performer has a detection of its own in the frame, and not only parts of somebody else's. The head is
+    /// never exchanged.
     pub fn is_owned(&self) -> bool {
         self.parts[Part::Upper as usize].is_some()
     }

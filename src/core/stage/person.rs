@@ -13,8 +13,8 @@ use crate::core::time::{Nanos, Timestamp};
 const TRUNK: [K; 6] = [K::LShoulder, K::RShoulder, K::LHip, K::RHip, K::LEar, K::REar];
 /// So many of them are triangulated where a person is seen.
 const LEAST_TRUNK: usize = 2;
-/// And it has a detection of its own in so many views: a track that has only parts of other people's detections is not
-/// seen.
+/// Who is seen has a detection of its own in so many views. A track that has only parts of other people's detections is
+/// not seen.
 const LEAST_OWNED: usize = 2;
 /// A triangulated point is not further than this from the predicted one, metres, and this faster than
 /// the body since it was last seen, m/s.
@@ -56,8 +56,9 @@ pub(super) struct Person {
     extents: f64,
     /// The largest extent in a view when the person was last seen, pixels.
     pub(super) height_px: f64,
-    /// When a view showed the trunk last, and after which time the person is hidden.
+    /// When a view showed the trunk last.
     in_view: Timestamp,
+    /// After so long without the trunk in any view the person is hidden.
     pub(super) hidden_after: Nanos,
     doubt: Option<Box<Doubt>>,
 }
@@ -145,7 +146,7 @@ impl Person {
     }
 
     /// Whether this one and another one are both seen, and no view shows both.
-    pub(super) fn shares_views_with(&self, other: &Self) -> bool {
+    pub(super) fn splits_views_with(&self, other: &Self) -> bool {
         let are_seen = [self, other].iter().all(|one| one.owned.len() >= LEAST_OWNED);
         are_seen && !self.is_beside(other)
     }

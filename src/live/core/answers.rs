@@ -204,13 +204,13 @@ impl Core {
         let number = &mut self.performer(performer).sets;
         *number = if frames.enters { 1 } else { *number + 1 };
         let message = KeypointSet {
-            number: *number,
-            label,
             performer: performer.0 as u32,
             frames: frames.frames.iter().filter_map(frame).collect(),
             complete_ns: frames.complete.ns(),
             returns: frames.returns,
             enters: frames.enters,
+            number: *number,
+            label,
             run_id: self.run_id,
         };
         let topic = self.performer(performer).topics.actor_keypoints();

@@ -59,10 +59,10 @@ impl Core {
         let own = self.performers.get(performer.0);
         let is_solved = self.settings.stage.solve;
         let name = self.name_of(performer.0);
-        let told = self.status_of(&name);
+        let other = self.status_of(&name);
         let own_state = progress.get(performer.0).filter(|_| is_solved).map(|one| one.state);
-        let state = told.map(|told| &*told.tracker_state).or(own_state);
-        let residual_px = told.map(|told| told.residual_px).or(own.map(|own| own.residual_px));
+        let state = other.map(|other| &*other.tracker_state).or(own_state);
+        let residual_px = other.map(|other| other.residual_px).or(own.map(|own| own.residual_px));
         let unseen = self.clock.capture_time(self.now) - seen;
         StagePerformer {
             name,

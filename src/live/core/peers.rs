@@ -13,8 +13,8 @@ use crate::io::wire::{self, PlayoutCounters, Status, WindowCounters};
 
 /// An older status says nothing of now.
 const MAX_AGE: Nanos = Nanos::from_ms(3000);
-/// If no message came for this long, this node was cut off or stopped, and not the others. They may have gone on with its
-/// performers: its last status was up to a second older.
+/// After a pause of this length, this node was cut off or stopped; the others were not. They may solve its performers by
+/// now: its last status is up to a second older than the pause.
 const MIN_PAUSE: Nanos = Nanos::from_ms(2000);
 /// Most bins of a histogram that are read.
 const MOST_BINS: usize = 32;
@@ -36,10 +36,10 @@ pub(super) struct Peers {
     playout: PlayoutCounters,
     /// At the front: solvers that hang, as of the last second.
     silent: Vec<String>,
-    /// When a message came last.
-    message: Option<Timestamp>,
+    /// When a message came last, from whomever.
+    last_message: Option<Timestamp>,
     /// Since when the statuses are read.
-    since: Option<Timestamp>,
+    read_since: Option<Timestamp>,
 }
 
 impl Peers {
@@ -54,9 +54,9 @@ impl Peers {
         }
     }
 
-    /// A message came, from whomever. Returns whether this node was cut off before.
+    /// Notes a message, from whomever. Returns whether this node was cut off before.
     fn message(&mut self, now: Timestamp) -> bool {
-        let before = self.message.replace(now);
+        let before = self.last_message.replace(now);
         let pause = before.map_or(Nanos::ZERO, |before| now - before);
         let is_back = pause > MIN_PAUSE;
         if is_back {
@@ -76,7 +76,7 @@ impl Peers {
 }
 
 impl Core {
-    /// Sets the time. If this node did not run for long, others go on with its performers.
+    /// Sets the time. After a pause, others may solve the performers of this node.
     pub(super) fn note_time(&mut self, now: Timestamp) {
         let pause = now - self.now;
         self.now = self.now.max(now);
@@ -85,7 +85,7 @@ impl Core {
         }
     }
 
-    /// A message came, from whomever.
+    /// Notes a message, from whomever. After a pause, others may solve the performers of this node.
     pub(super) fn note_message(&mut self) {
         if self.peers.message(self.now) {
             self.step_back();
@@ -106,10 +106,10 @@ impl Core {
         }
     }
 
-    /// Whether the statuses of this actor are read: of other solvers, and at the front of performers. As long as nobody
-    /// entered, none is: the journal of an idle node is empty.
+    /// Whether the statuses of this actor are read. Solvers read those of other solvers, the front also those of performers.
+    /// Before the first performer enters none are read, so that the journal of an idle node stays empty.
     pub(super) fn reads_status(&self, actor: &str) -> bool {
-        self.peers.since.is_some() && (self.is_other_solver(actor) || self.is_performer(actor))
+        self.peers.read_since.is_some() && (self.is_other_solver(actor) || self.is_performer(actor))
     }
 
     /// Whether an actor is a performer whom another node solves.
@@ -125,7 +125,7 @@ impl Core {
     /// The solvers that are there and do not hang, in order of their names.
     pub(super) fn responding(&self) -> Vec<String> {
         let responds = |solver: &&String| {
-            let Some(since) = self.peers.since.filter(|_| self.is_other_solver(solver)) else {
+            let Some(since) = self.peers.read_since.filter(|_| self.is_other_solver(solver)) else {
                 return true;
             };
             let heard = self.peers.all.get(*solver).map_or(since, |peer| peer.heard.max(since));
@@ -150,7 +150,7 @@ impl Core {
     pub(super) fn review_peers(&mut self) {
         let is_solving = !self.performers.is_empty() || !self.sharing.is_empty();
         if self.looks_for_solvers() && is_solving {
-            self.peers.since.get_or_insert(self.now);
+            self.peers.read_since.get_or_insert(self.now);
         }
         let mut all = std::mem::take(&mut self.peers.all);
         all.retain(|actor, _| self.is_other_solver(actor) || self.is_performer(actor));
@@ -170,7 +170,7 @@ impl Core {
                 true => "no other solver is there",
                 false => "others go on with its performers",
             };
-            let detail = format!("solver {solver} says nothing any more: {next}");
+            let detail = format!("no status from solver {solver}: {next}");
             self.event(EventKind::Solver, None, detail);
         }
         for solver in before.iter().filter(|solver| responding.contains(solver)) {

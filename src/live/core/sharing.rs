@@ -33,20 +33,22 @@ const SETTLING: Nanos = Nanos::from_ms(500);
 const BACK: Nanos = Nanos::from_ms(50);
 /// Another solver that says nothing of a performer for this long does not solve it.
 const SILENT: Nanos = Nanos::SECOND;
+/// A performer whose frames end this long before those of others is not followed.
+const NO_FRAMES: Nanos = Nanos::SECOND;
 /// A state that is older than the known one by up to this is not used. By more, the cameras' clock went back.
 const MOST_LATE: Nanos = Nanos::from_ms(60_000);
 /// The motion goes on if the frames begin at most this long after its end.
 const HOLE: Nanos = Nanos::from_ms(100);
 
-/// The last set of a performer's frames.
+/// Which set of a performer's frames it is; the fields are those of [`KeypointSet`].
 #[derive(Clone, Copy)]
-struct Last {
+struct SetNumber {
     run_id: u64,
     number: u64,
     complete: Timestamp,
 }
 
-impl Last {
+impl SetNumber {
     /// How many sets between this one and the next were lost, and whether the performer entered with one of them.
     fn lost_before(&self, next: &Self) -> (u64, bool) {
         if next.run_id != self.run_id || next.complete <= self.complete {
@@ -65,7 +67,8 @@ struct Shared {
     /// The name in the topics.
     name: String,
     is_ours: bool,
-    last: Option<Last>,
+    /// The last set.
+    last: Option<SetNumber>,
     /// The last state, of whoever solves the performer, and when it came.
     state: Option<HandOver>,
     heard: Timestamp,
@@ -112,7 +115,7 @@ impl Sharing {
     pub(super) fn followed(&self) -> Vec<PerformerId> {
         let is_followed = |number: &PerformerId| {
             let last = self.performers.get(number).and_then(|shared| shared.last);
-            last.is_some_and(|last| self.complete - last.complete < SILENT)
+            last.is_some_and(|last| self.complete - last.complete < NO_FRAMES)
         };
         self.ours().into_iter().filter(is_followed).collect()
     }
@@ -184,9 +187,9 @@ impl Core {
         let (run_id, number, complete) = (message.run_id, message.number, set.complete);
         self.sharing.complete = complete;
         let shared = self.sharing.performers.entry(performer).or_default();
-        let last = shared.last.replace(Last { run_id, number, complete });
-        let (lost, entered) =
-            last.zip(shared.last).map_or((0, false), |(last, next)| last.lost_before(&next));
+        let next = SetNumber { run_id, number, complete };
+        let last = shared.last.replace(next);
+        let (lost, entered) = last.map_or((0, false), |last| last.lost_before(&next));
         set.enters |= entered;
         let (is_ours, is_renamed) = (shared.is_ours, shared.name != actor);
         actor.clone_into(&mut shared.name);
@@ -399,7 +402,8 @@ impl Core {
         self.tell_of(performer, EventKind::Solver, 1, detail);
     }
 
-    /// This node was cut off, and others may solve its performers by now: it waits until they say so, or say nothing.
+    /// Releases all performers without a word: other solvers may solve them by now. This node takes them back when the
+    /// others release them, or when nobody solves them.
     pub(super) fn step_back(&mut self) {
         if !self.settings.carried.solvers.iter().any(|solver| self.is_other_solver(solver)) {
             return;
@@ -410,7 +414,7 @@ impl Core {
             }
             self.release_here(performer);
         }
-        // Before the trackers hear what time it is.
+        // The trackers forget the performers before they get the time, so they miss no pose.
         self.drain();
     }
 
@@ -473,7 +477,8 @@ mod tests {
 
     #[test]
     fn lost_sets_are_seen_by_their_numbers() {
-        let set = |run_id, number, ms| Last { run_id, number, complete: Timestamp::from_ns(ms) };
+        let at = |ms| Timestamp::default() + Nanos::from_ms(ms);
+        let set = |run_id, number, ms| SetNumber { run_id, number, complete: at(ms) };
         let before = set(1, 7, 100);
         assert_eq!(before.lost_before(&set(1, 8, 117)), (0, false));
         assert_eq!(before.lost_before(&set(1, 11, 167)), (3, false));

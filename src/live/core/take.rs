@@ -193,6 +193,7 @@ impl Core {
         Ok(self.label_mut(self.number_of(name)?))
     }
 
+    /// The label of the performer with that number.
     pub(super) fn label_mut(&mut self, number: usize) -> &mut PerformerLabel {
         let labels = &mut self.settings.carried.labels;
         if labels.len() <= number {

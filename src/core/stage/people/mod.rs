@@ -25,7 +25,7 @@ const DOUBTFUL: Nanos = Nanos::from_ms(120);
 const LOST: Nanos = Nanos::from_ms(1000);
 /// A performer who is not seen for this long may be where a newcomer is.
 const ELSEWHERE: Nanos = Nanos::from_ms(150);
-/// A person is away only after this many frame periods.
+/// A person counts as away only after this many frame periods.
 const MIN_PERIODS: f64 = 2.5;
 /// People who are this near each other on average, metres, for this long are one. The second distance holds if each view
 /// shows only one of them.
@@ -141,8 +141,9 @@ pub(super) struct People {
     pub(super) names: Names,
     /// Whether a newcomer gets the number of a performer without a name who has left.
     pub(super) reuses_numbers: bool,
-    /// The time of the last set, and the time between two sets.
+    /// The time of the last set.
     at: Timestamp,
+    /// The cameras' frame period.
     pub(super) period: Nanos,
     /// Most bystanders at a time.
     pub(super) others: usize,
@@ -167,7 +168,7 @@ impl People {
         }
     }
 
-    /// A time without a person, which is not shorter than some sets of slow cameras.
+    /// A time, but at least [`MIN_PERIODS`] frame periods.
     fn at_least(&self, time: Nanos) -> Nanos {
         time.max(Nanos::rounded(MIN_PERIODS * self.period.ns() as f64))
     }
@@ -330,7 +331,7 @@ impl People {
         for index in 0..self.members.len() {
             let is_double = |other: &usize| {
                 let [one, two] = [&self.members[*other].person, &self.members[index].person];
-                let same = if one.shares_views_with(two) { SAME_UNSEEN_M } else { SAME_M };
+                let same = if one.splits_views_with(two) { SAME_UNSEEN_M } else { SAME_M };
                 (ranks[*other], *other) < (ranks[index], index)
                     && !is_hidden[*other]
                     && apart(&places[*other], &places[index]).is_some_and(|off| off < same)

@@ -57,7 +57,7 @@ impl People {
             let Member { person, role, wish, close_since, .. } = &self.members[index];
             let is_known = || matches!(self.judge(index, at), Verdict::Known(_));
             match role {
-                // Who is in the place of somebody else may be that one.
+                // Somebody in the place of another member may be the same person.
                 Role::Candidate(_) => person.sets >= CONFIRMED && close_since.is_none(),
                 // Who comes to the region later, or is recognised later.
                 Role::Bystander if !is_open || person.seen < at => false,
