@@ -73,9 +73,9 @@ pub(super) struct Arguments {
     /// own, too.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
     pub(super) jobs: Option<u8>,
-    /// Threads of each solve, 1 or 2, with the same result; two are rarely faster. Default: that of the
-    /// settings, 1.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=2))]
+    /// Threads of each solve: several performers are solved beside each other, with the same result. Default: one
+    /// for each processor; 1 with --jobs.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     threads: Option<u8>,
     /// Replace the files of an earlier solve.
     #[arg(long)]
@@ -330,6 +330,7 @@ impl Prepared {
             overwrite,
             no_sync: arguments.no_sync,
             timecode: times.house,
+            threads: arguments.threads.or(arguments.jobs.map(|_| 1)).map_or(0, usize::from),
             companion: arguments.companion(),
             config_toml: Some(Config { timecode, ..self.config.clone() }.to_toml()),
         };
@@ -355,7 +356,6 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
             config.tracker.frame_rate_hz = frame_rate_option(fps)?;
         }
         let tracker = &mut config.tracker;
-        tracker.threads = arguments.threads.map_or(tracker.threads, usize::from);
         match arguments.interpolation {
             Some(InterpolationName::Slerp) => tracker.cost.interpolation = Interpolation::Slerp,
             Some(InterpolationName::Lerp) => tracker.cost.interpolation = Interpolation::Lerp,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::Error;
-use super::driver::Driver;
+use super::driver::State;
 use super::hold_out::{HeldOut, HoldOut};
 use super::options::Observer;
 use super::poses::{Comparisons, PoseSummary, Poses};
@@ -28,22 +28,21 @@ pub(super) struct Collected {
 }
 
 impl Collected {
-    /// Takes an output of the performer, whose number it is.
+    /// Takes an output of the performer.
     pub(super) fn add(
         &mut self,
-        driver: &Driver,
-        performer: usize,
         output: &Output,
+        state: &State,
         observer: &mut dyn Observer,
     ) -> Result<(), Error> {
         match output {
             Output::Pose(pose) => {
-                let Some(skeleton) = driver.skeleton(performer) else { return Ok(()) };
-                observer.pose(pose, &skeleton);
-                self.poses.add(pose.as_ref().into(), &skeleton, &mut self.comparisons)?;
+                let Some(skeleton) = &state.skeleton else { return Ok(()) };
+                observer.pose(pose, skeleton);
+                self.poses.add(pose.as_ref().into(), skeleton, &mut self.comparisons)?;
             }
             Output::Event(event) => *self.events.entry(event.kind).or_default() += event.count,
-            Output::Window(report) => self.windows.add(report, driver.window_solve),
+            Output::Window(report) => self.windows.add(report, state.window_solve),
             Output::Skeleton(_)
             | Output::Keyframe(_)
             | Output::Solve(_)

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::Error;
-use super::driver::Driver;
+use super::driver::{Driver, State, Step};
 use super::options::{Observer, Options};
 use super::recording::{Item, Recording};
 use crate::core::body::{Skeleton, TrackingState};
@@ -15,9 +15,9 @@ use crate::core::calibration::{self, Correction, OffsetVerdict, TimeOffset, Trac
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost;
 use crate::core::detections::Detections;
-use crate::core::stage::{Input, Stage};
+use crate::core::stage::Stage;
 use crate::core::time::Nanos;
-use crate::core::tracker::{self, BodyEstimator, EventKind, FramePeriod, Output, Solver, Tracker};
+use crate::core::tracker::{self, BodyEstimator, EventKind, FramePeriod, Output, Tracker};
 use crate::diagnose::Evidence;
 
 /// Most frames that wait for their poses.
@@ -77,7 +77,10 @@ impl CameraOffset {
 
 /// A first pass over a recording.
 pub(super) struct FirstPass {
-    driver: Driver,
+    /// The performers' bodies; `None` of those who were not found.
+    pub(super) bodies: Vec<Option<Arc<Skeleton>>>,
+    /// Nominal frame periods, by performer, ns.
+    periods: Vec<f64>,
     /// By performer.
     followed: Vec<Followed>,
     cameras: Vec<Camera>,
@@ -92,6 +95,23 @@ pub(super) struct FirstPass {
     pub(super) is_body_wrong: bool,
     /// The estimate of the first performer's body that has most windows.
     pub(super) estimate: Arc<BodyEstimator>,
+}
+
+/// What solves a first pass over so many frames.
+fn driver(
+    options: &Options,
+    body: Option<&Arc<Skeleton>>,
+    frames: u64,
+    rig: &Rig,
+    period: Option<FramePeriod>,
+) -> Result<Driver, Error> {
+    let period_ns = period.map_or(0.0, |period| period.ns);
+    let config = first_pass_settings(options.config, frames as usize, period_ns);
+    let tracker = Tracker::new(config, Arc::new(rig.clone()));
+    let tracker = tracker.with_body_of_another_take(body.cloned());
+    let stage = Stage::new(tracker, options.performers, period);
+    let stage = stage.choosing(options.choice.clone()).with_known(&options.known);
+    Ok(Driver::new(stage, options.decoder()?, config, options.threads))
 }
 
 /// A performer in the views of the rig's cameras, then of the held-out ones.
@@ -116,8 +136,9 @@ impl FirstPass {
     ) -> Result<Self, Error> {
         let mut body = options.body.as_ref();
         let mut once = |body, rig: &Rig, held_out: &[Camera]| {
-            let mut pass = Self::new(options, body, recording.frames(), rig, period, held_out)?;
-            pass.stream(recording, rig, held_out, observer)?;
+            let driver = driver(options, body, recording.frames(), rig, period)?;
+            let mut pass = Self::new(options, rig, period, held_out);
+            pass.stream(driver, recording, rig, held_out, observer)?;
             Ok::<_, Error>(pass)
         };
         let mut pass = once(body, rig, held_out)?;
@@ -138,26 +159,13 @@ impl FirstPass {
         Ok(Self { offsets, is_body_wrong, ..pass })
     }
 
-    fn new(
-        options: &Options,
-        body: Option<&Arc<Skeleton>>,
-        frames: u64,
-        rig: &Rig,
-        period: Option<FramePeriod>,
-        held_out: &[Camera],
-    ) -> Result<Self, Error> {
-        let period_ns = period.map_or(0.0, |period| period.ns);
-        let config = first_pass_settings(options.config, frames as usize, period_ns);
-        let solver = Solver::new(options.decoder()?, config);
-        let tracker = Tracker::new(config, Arc::new(rig.clone()));
-        let tracker = tracker.with_body_of_another_take(body.cloned());
-        let stage = Stage::new(tracker, options.performers, period);
-        let stage = stage.choosing(options.choice.clone()).with_known(&options.known);
+    fn new(options: &Options, rig: &Rig, period: Option<FramePeriod>, held_out: &[Camera]) -> Self {
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();
         let all = Arc::new(Rig { cameras: cameras.clone(), ..rig.clone() });
-        Ok(Self {
+        Self {
             evidence: Evidence::new(all, options.config, period),
-            driver: Driver::new(stage, solver),
+            bodies: Vec::new(),
+            periods: Vec::new(),
             followed: Vec::new(),
             cameras,
             waiting: VecDeque::new(),
@@ -165,36 +173,38 @@ impl FirstPass {
             offsets: Vec::new(),
             is_body_wrong: false,
             estimate: Arc::default(),
-        })
+        }
     }
 
     fn stream(
         &mut self,
+        mut driver: Driver,
         recording: &mut Recording,
         rig: &Rig,
         held_out: &[Camera],
         observer: &mut dyn Observer,
     ) -> Result<(), Error> {
-        let message = || observer.message();
         let solved = rig.cameras.len();
-        recording.stream(rig, held_out, message, |item| match item {
-            Item::Detections(frame, percent) => {
-                self.evidence.add(&frame, percent);
-                self.wait(frame.clone());
-                self.feed(Input::Detections(frame))
+        let mut take = |step| {
+            match step {
+                Step::Item(Item::Detections(frame, percent)) => self.wait(frame, percent),
+                Step::Item(Item::HeldOut(frame, percent)) => {
+                    self.wait(Detections { camera: solved + frame.camera, ..frame }, percent);
+                }
+                Step::Item(_) => {}
+                Step::Output(performer, output, state) => self.output(performer, &output, &state),
             }
-            Item::HeldOut(frame, percent) => {
-                let frame = Detections { camera: solved + frame.camera, ..frame };
-                self.evidence.add(&frame, percent);
-                self.wait(frame);
-                Ok(())
-            }
-            _ => Ok(()),
-        })?;
-        self.feed(Input::End)
+            Ok(())
+        };
+        let message = || observer.message();
+        recording.stream(rig, held_out, message, |item| driver.feed(Some(item), &mut take))?;
+        driver.feed(None, take)?;
+        (self.bodies, self.periods) = (driver.skeletons(), driver.frame_periods());
+        Ok(())
     }
 
-    fn wait(&mut self, mut frame: Detections) {
+    fn wait(&mut self, mut frame: Detections, percent: usize) {
+        self.evidence.add(&frame, percent);
         frame.capture = frame.capture + self.cameras[frame.camera].time_offset;
         self.waiting.push_back(frame);
         if self.waiting.len() > WAITING {
@@ -203,51 +213,39 @@ impl FirstPass {
         }
     }
 
-    /// Passes in an input; the frames up to each pose show the performer in about that pose.
-    fn feed(&mut self, input: Input) -> Result<(), Error> {
-        let Self { driver, followed, cameras, waiting, passed, is_body_wrong, estimate, .. } = self;
-        driver.feed(input, |driver, performer, output| {
-            if let Output::Event(event) = output {
-                *is_body_wrong |= event.kind == EventKind::Body;
+    /// The frames up to each pose show the performer in about that pose.
+    fn output(&mut self, performer: usize, output: &Output, state: &State) {
+        if let Output::Event(event) = output {
+            self.is_body_wrong |= event.kind == EventKind::Body;
+        }
+        if performer == 0 && state.estimate.windows() > self.estimate.windows() {
+            self.estimate = Arc::clone(&state.estimate);
+        }
+        let (Output::Pose(pose), Some(body)) = (output, &state.skeleton) else { return };
+        let Self { followed, cameras, waiting, passed, .. } = self;
+        let (cameras_count, frames) = (cameras.len(), *passed);
+        let new = || Followed { tracks: Tracks::new(cameras_count), poses: 0, frames };
+        followed.resize_with(followed.len().max(performer + 1), new);
+        let Followed { tracks, poses, frames } = &mut followed[performer];
+        *poses += usize::from(pose.state == TrackingState::Tracking);
+        *frames = (*frames).max(*passed);
+        while let Some(frame) = waiting.get(*frames - *passed)
+            && frame.capture <= pose.capture
+        {
+            *frames += 1;
+            if pose.state == TrackingState::Tracking {
+                tracks.add(frame, &cameras[frame.camera], &pose.pose, body);
             }
-            if let Some(newer) = driver.body_estimate(0)
-                && newer.windows() > estimate.windows()
-            {
-                *estimate = Arc::clone(newer);
-            }
-            let (Output::Pose(pose), Some(body)) = (output, driver.skeleton(performer)) else {
-                return Ok(());
-            };
-            let (cameras_count, frames) = (cameras.len(), *passed);
-            let new = || Followed { tracks: Tracks::new(cameras_count), poses: 0, frames };
-            followed.resize_with(followed.len().max(performer + 1), new);
-            let Followed { tracks, poses, frames } = &mut followed[performer];
-            *poses += usize::from(pose.state == TrackingState::Tracking);
-            *frames = (*frames).max(*passed);
-            while let Some(frame) = waiting.get(*frames - *passed)
-                && frame.capture <= pose.capture
-            {
-                *frames += 1;
-                if pose.state == TrackingState::Tracking {
-                    tracks.add(frame, &cameras[frame.camera], &pose.pose, &body);
-                }
-            }
-            let reached = followed.iter().map(|one| one.frames).min().unwrap_or(0);
-            let done = reached.saturating_sub(*passed);
-            waiting.drain(..done);
-            *passed += done;
-            Ok(())
-        })
-    }
-
-    /// The performers' bodies; `None` of those who were not found.
-    pub(super) fn bodies(&self) -> Vec<Option<Arc<Skeleton>>> {
-        self.driver.skeletons()
+        }
+        let reached = followed.iter().map(|one| one.frames).min().unwrap_or(0);
+        let done = reached.saturating_sub(*passed);
+        waiting.drain(..done);
+        *passed += done;
     }
 
     /// The body of the first of the performers who were found.
     pub(super) fn lead(&self, recording: &Recording) -> Result<Arc<Skeleton>, Error> {
-        self.bodies().into_iter().flatten().next().ok_or_else(|| Error::NobodyFound {
+        self.bodies.iter().flatten().next().cloned().ok_or_else(|| Error::NobodyFound {
             path: recording.path().to_owned(),
             evidence: "no performer is seen by two cameras at once; check the calibration".into(),
         })
@@ -265,8 +263,8 @@ impl FirstPass {
     /// from their own views, then those of held-out cameras relative to them.
     fn apply_time_offsets(&self, rig: &mut Rig, held_out: &mut [Camera]) -> Vec<CameraOffset> {
         let (performer, tracks) = self.tracks();
-        let Some(period) = self.driver.frame_period(performer) else { return Vec::new() };
-        let period = Nanos::rounded(period);
+        let Some(period) = self.periods.get(performer) else { return Vec::new() };
+        let period = Nanos::rounded(*period);
         let solved = rig.cameras.len();
         let estimate = |count: usize, known: &[Nanos]| {
             calibration::time_offsets(&tracks, &self.cameras[..count], period, known)

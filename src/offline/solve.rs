@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use super::Error;
 use super::collected::{Collected, nobody};
-use super::driver::Driver;
+use super::driver::{Driver, State, Step};
 use super::first_pass::{CameraOffset, FirstPass};
 use super::hold_out::HeldOut;
 use super::options::{Observer, Options};
@@ -22,9 +22,9 @@ use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::manifold::Decoder;
-use crate::core::stage::{Input, Names, PerformerId, Performers, Stage};
+use crate::core::stage::{Names, PerformerId, Performers, Stage};
 use crate::core::time::Timestamp;
-use crate::core::tracker::{FramePeriod, Output, Solver, Tracker};
+use crate::core::tracker::{FramePeriod, Output, Tracker};
 use crate::diagnose::{Check, Evidence};
 use crate::io::recording::{Provenance, Report};
 use crate::io::wire::Topics;
@@ -71,7 +71,6 @@ pub fn solve_group(
         Outputs::create(folder, &all, options, (&rig, check.as_ref().ok()), &decoder, &names)
     });
     let mut outputs = outputs.transpose()?;
-    let solver = Solver::new(decoder, options.config);
     let tracker = Tracker::new(options.config, Arc::clone(&rig));
     let stage = Stage::new(tracker, options.performers, period).with_bodies(bodies);
     let stage = stage.choosing(options.choice.clone()).naming(Names::new(options.names.clone()));
@@ -95,22 +94,22 @@ pub fn solve_group(
     let collected = names.iter().map(collected).collect();
     let file = outputs.as_mut().map(|outputs| &mut outputs.file);
     let tracking = (options.performers.limit() > 1).then(Tracking::default);
-    let driver = Driver::new(stage, solver);
+    let mut driver = Driver::new(stage, decoder, options.config, options.threads);
     let mut run = Run {
-        driver,
         collected,
         tracking,
         file,
         evidence: check.as_mut().err(),
         solved: rig.cameras.len(),
     };
-    let report = run.stream(recording, &rig, &held_out, observer)?;
-    let Run { driver, mut collected, tracking, .. } = run;
+    let report = run.stream(&mut driver, recording, (&rig, &held_out), observer)?;
+    let Run { mut collected, tracking, .. } = run;
     let check = check.unwrap_or_else(|evidence| evidence.check(&judged));
-    let found = |performer: usize, one: &Collected| {
-        driver.skeleton(performer).filter(|_| one.poses.found_somebody())
-    };
-    let skeletons: Vec<_> = collected.iter().enumerate().map(|(i, one)| found(i, one)).collect();
+    let mut bodies = driver.skeletons();
+    let followed = bodies.len();
+    bodies.resize(collected.len(), None);
+    let found = |(body, one): (Option<_>, &Collected)| body.filter(|_| one.poses.found_somebody());
+    let skeletons: Vec<_> = bodies.into_iter().zip(&collected).map(found).collect();
     if skeletons.iter().all(Option::is_none) {
         return Err(nobody(&collected, recording, &rig, &check, driver.others()));
     }
@@ -122,7 +121,6 @@ pub fn solve_group(
     let seconds = begin.elapsed().as_secs_f64();
     let solved =
         collected.into_iter().zip(&skeletons).filter_map(|(one, s)| Some((one, s.as_ref()?)));
-    let followed = driver.skeletons().len();
     let new = skeletons.iter().take(followed).skip(options.known.len());
     let unsolved = new.filter(|body| body.is_none()).count();
     let mut group = Group {
@@ -215,7 +213,7 @@ fn prepare(
     if options.passes() > 1 {
         let first = FirstPass::run(recording, options, &mut rig, period, &mut held_out, observer)?;
         is_body_wrong = first.is_body_wrong && options.body.is_some();
-        bodies = first.bodies();
+        bodies = first.bodies;
         (count, offsets, evidence) = (bodies.len(), first.offsets, Some(first.evidence));
     }
     let rig = Arc::new(rig);
@@ -261,7 +259,6 @@ impl Outputs {
 
 /// A solve in progress.
 struct Run<'file> {
-    driver: Driver,
     /// By performer.
     collected: Vec<Collected>,
     /// With several performers.
@@ -276,24 +273,27 @@ struct Run<'file> {
 impl Run<'_> {
     fn stream(
         &mut self,
+        driver: &mut Driver,
         recording: &mut Recording,
-        rig: &Rig,
-        held_out: &[Camera],
+        (rig, held_out): (&Rig, &[Camera]),
         observer: &mut dyn Observer,
     ) -> Result<Report, Error> {
         // Both closures use the observer.
         let observer = std::cell::RefCell::new(observer);
-        let report = recording.stream(
-            rig,
-            held_out,
-            || observer.borrow_mut().message(),
-            |item| self.take(item, *observer.borrow_mut()),
-        )?;
-        self.feed(Input::End, *observer.borrow_mut())?;
+        let mut take = |step| match step {
+            Step::Item(item) => self.item(item),
+            Step::Output(performer, output, state) => {
+                self.output(performer, &output, &state, *observer.borrow_mut())
+            }
+        };
+        let message = || observer.borrow_mut().message();
+        let report =
+            recording.stream(rig, held_out, message, |item| driver.feed(Some(item), &mut take))?;
+        driver.feed(None, take)?;
         Ok(report)
     }
 
-    fn take(&mut self, item: Item, observer: &mut dyn Observer) -> Result<(), Error> {
+    fn item(&mut self, item: Item) -> Result<(), Error> {
         for Collected { poses, comparisons, .. } in &mut self.collected {
             match &item {
                 Item::Detections(detections, _) => {
@@ -324,7 +324,6 @@ impl Run<'_> {
                 if let Some(file) = &mut self.file {
                     file.frame(&detections)?;
                 }
-                return self.feed(Input::Detections(detections), observer);
             }
             (Item::HeldOut(frame, percent), _) => {
                 let camera = self.solved + frame.camera;
@@ -339,17 +338,20 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn feed(&mut self, input: Input, observer: &mut dyn Observer) -> Result<(), Error> {
-        let Self { driver, collected, tracking, file, .. } = self;
-        driver.feed(input, |driver, performer, output| {
-            let Some(one) = collected.get_mut(performer) else { return Ok(()) };
-            if let (Some(tracking), Output::Pose(pose)) = (tracking.as_mut(), output)
-                && let Some(body) = driver.skeleton(performer)
-            {
-                tracking.add_pose(&one.name, pose, &body);
-            }
-            one.add(driver, performer, output, observer)?;
-            file.as_mut().map_or(Ok(()), |file| file.write(performer, output))
-        })
+    fn output(
+        &mut self,
+        performer: usize,
+        output: &Output,
+        state: &State,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Error> {
+        let Some(one) = self.collected.get_mut(performer) else { return Ok(()) };
+        if let (Some(tracking), Output::Pose(pose), Some(body)) =
+            (&mut self.tracking, output, &state.skeleton)
+        {
+            tracking.add_pose(&one.name, pose, body);
+        }
+        one.add(output, state, observer)?;
+        self.file.as_mut().map_or(Ok(()), |file| file.write(performer, output))
     }
 }

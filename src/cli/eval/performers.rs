@@ -155,6 +155,7 @@ impl Scene<'_> {
         let options = Options {
             decoder: Some(self.setup.decoder.clone()),
             performers: Performers::Auto,
+            threads: 1,
             choice: Choice { region: (0..CORNERS).map(corner).collect(), ..Choice::default() },
             ..Options::default()
         };

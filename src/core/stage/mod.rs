@@ -90,7 +90,7 @@ pub enum Output {
 
 /// What a tracker gets next.
 #[derive(Clone, Debug)]
-enum Next {
+pub(crate) enum Next {
     Tracker(usize, tracker::Input),
     Output(Output),
 }
@@ -315,6 +315,16 @@ impl Stage {
         &self.trackers
     }
 
+    /// Whether it follows several performers.
+    pub(crate) fn has_several(&self) -> bool {
+        self.crowd.is_some()
+    }
+
+    /// As [`Stage::trackers`].
+    pub(crate) fn trackers_mut(&mut self) -> &mut [Tracker] {
+        &mut self.trackers
+    }
+
     /// The tracker whose times hold for all: that of the performer who is tracked longest, or that of
     /// the next performer.
     pub fn lead(&self) -> &Tracker {
@@ -447,6 +457,15 @@ impl Stage {
             self.give_all(&input);
         }
         self.crowd = Some(crowd);
+    }
+
+    /// As [`Stage::handle`], but the caller gives the trackers what is for them: offline, they do not depend on each other.
+    pub(crate) fn route(&mut self, input: Input) -> VecDeque<Next> {
+        if self.crowd.is_none() {
+            return [Next::Tracker(0, of_tracker(input))].into();
+        }
+        self.handle(input);
+        std::mem::take(&mut self.next)
     }
 
     /// Live: gives the lead the frames of one time, with those people who are no other performer's.
