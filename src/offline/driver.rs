@@ -1,7 +1,6 @@
-//! Drives the stage with a recording. Several performers are solved beside each other, on several threads: offline, none
+//! Drives the stage with a recording. The performers are solved beside each other, on several threads: offline, none
 //! of them depends on another one's poses. The result is the same with any number of threads.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -25,11 +24,12 @@ pub(crate) struct Driver {
     stage: Stage,
     decoder: Decoder,
     config: Config,
-    /// By performer.
-    solvers: Vec<TimedSolver>,
     /// `None`: the calling thread solves alone.
     threads: Option<ThreadPool>,
+    /// Items that wait.
     batch: Vec<Item>,
+    /// What happened before them.
+    steps: Vec<Step>,
 }
 
 /// What happened, in order.
@@ -38,12 +38,6 @@ pub(crate) enum Step {
     Item(Item),
     /// The stage has put this out, with the number of the performer. What concerns the cameras is counted with the first.
     Output(usize, Output, State),
-}
-
-/// What happened, or the place of what a tracker puts out at its next input.
-enum Place {
-    Step(Step),
-    Tracker(usize),
 }
 
 /// What is known of a performer at an output.
@@ -58,15 +52,15 @@ pub(crate) struct State {
 }
 
 impl Driver {
-    /// `threads`: for several performers; 0: one for each processor.
+    /// With so many threads; 0: one for each processor.
     pub(crate) fn new(stage: Stage, decoder: Decoder, config: Config, threads: usize) -> Self {
         let new = || ThreadPoolBuilder::new().num_threads(threads).build();
-        let threads = (threads != 1 && stage.has_several()).then(new).and_then(|pool| {
+        let threads = (threads != 1).then(new).and_then(|pool| {
             pool.inspect_err(|error| tracing::warn!("solving on one thread: {error}")).ok()
         });
-        // A performer's solver needs no threads beside those of the others.
-        let config = if threads.is_some() { Config { threads: 1, ..config } } else { config };
-        Self { stage, decoder, config, solvers: Vec::new(), threads, batch: Vec::new() }
+        // Threads for each performer's windows would slow down the others.
+        let config = Config { threads: 1, ..config };
+        Self { stage, decoder, config, threads, batch: Vec::new(), steps: Vec::new() }
     }
 
     /// The bodies of all performers so far.
@@ -89,8 +83,8 @@ impl Driver {
         self.stage.others()
     }
 
-    /// Passes in an item of the recording, or its end. Passes on what happened, in the order of one thread that solves each
-    /// job at once, as soon as enough items are there.
+    /// Passes in an item of the recording, or its end. Items wait until there are enough. What happened is passed on while
+    /// the items after that are solved, in the order of one thread that solves each job at once.
     pub(crate) fn feed(
         &mut self,
         item: Option<Item>,
@@ -101,7 +95,36 @@ impl Driver {
         if !is_end && self.batch.len() < BATCH {
             return Ok(());
         }
-        let (mut places, mut inputs) = (Vec::new(), Vec::new());
+        let before = std::mem::take(&mut self.steps);
+        let (mut steps, inputs) = self.route(is_end);
+        let Self { stage, decoder, config, threads, .. } = self;
+        let all: Vec<_> = stage.trackers_mut().iter_mut().zip(inputs).enumerate().collect();
+        let solve = |(performer, (tracker, inputs))| {
+            TimedSolver::new(decoder.clone(), *config).run(performer, tracker, inputs)
+        };
+        let mut solved = Vec::new();
+        match threads {
+            None => {
+                before.into_iter().try_for_each(&mut take)?;
+                solved.extend(all.into_iter().map(solve));
+            }
+            Some(threads) => threads.in_place_scope(|scope| {
+                scope.spawn(|_| solved.par_extend(all.into_par_iter().map(solve)));
+                before.into_iter().try_for_each(&mut take)
+            })?,
+        }
+        steps.extend(solved.into_iter().flatten());
+        steps.sort_by_key(|(number, _)| *number);
+        self.steps = steps.into_iter().map(|(_, step)| step).collect();
+        match is_end {
+            true => std::mem::take(&mut self.steps).into_iter().try_for_each(take),
+            false => Ok(()),
+        }
+    }
+
+    /// What happens with the items that wait, and the inputs of the trackers by performer. All are numbered in order.
+    fn route(&mut self, is_end: bool) -> (Vec<(usize, Step)>, Vec<Vec<(usize, tracker::Input)>>) {
+        let (mut steps, mut inputs, mut number) = (Vec::new(), Vec::new(), 0);
         let end = is_end.then_some(None);
         for item in std::mem::take(&mut self.batch).into_iter().map(Some).chain(end) {
             let input = match &item {
@@ -109,54 +132,24 @@ impl Driver {
                 Some(_) => None,
                 None => Some(Input::End),
             };
-            places.extend(item.map(|item| Place::Step(Step::Item(item))));
+            steps.extend(item.map(|item| (number, Step::Item(item))));
             for next in input.into_iter().flat_map(|input| self.stage.route(input)) {
-                places.push(match next {
+                number += 1;
+                let (performer, output) = match next {
+                    Next::Output(Of::Performer(performer, output)) => (performer.0, output),
+                    Next::Output(Of::Event(event)) => (0, Output::Event(event)),
+                    Next::Output(Of::Frames(..)) => continue,
                     Next::Tracker(performer, input) => {
                         inputs.resize_with(inputs.len().max(performer + 1), Vec::new);
-                        inputs[performer].push(input);
-                        Place::Tracker(performer)
+                        inputs[performer].push((number, input));
+                        continue;
                     }
-                    Next::Output(Of::Performer(performer, output)) => {
-                        Place::Step(Step::Output(performer.0, output, State::default()))
-                    }
-                    Next::Output(Of::Event(event)) => {
-                        Place::Step(Step::Output(0, Output::Event(event), State::default()))
-                    }
-                    Next::Output(Of::Frames(..)) => continue,
-                });
+                };
+                steps.push((number, Step::Output(performer, output, State::default())));
             }
+            number += 1;
         }
-        let mut outputs = self.solve(inputs);
-        for place in places {
-            match place {
-                Place::Step(step) => take(step)?,
-                Place::Tracker(performer) => {
-                    let steps = outputs[performer].pop_front().into_iter().flatten();
-                    steps.into_iter().try_for_each(&mut take)?;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Gives each tracker its inputs. Returns what each of them puts out, by performer and input.
-    fn solve(&mut self, mut inputs: Vec<Vec<tracker::Input>>) -> Vec<VecDeque<Vec<Step>>> {
-        let Self { stage, decoder, config, solvers, threads, .. } = self;
-        let trackers = stage.trackers_mut();
-        inputs.resize_with(trackers.len(), Vec::new);
-        solvers.resize_with(trackers.len(), || TimedSolver::new(decoder.clone(), *config));
-        let mut all: Vec<_> = trackers.iter_mut().zip(solvers).zip(inputs).enumerate().collect();
-        let work = |(performer, ((tracker, solver), inputs)): &mut (
-            usize,
-            ((&mut Tracker, &mut TimedSolver), Vec<_>),
-        )| {
-            inputs.drain(..).map(|input| solver.run(*performer, tracker, input)).collect()
-        };
-        match threads {
-            None => all.iter_mut().map(work).collect(),
-            Some(threads) => threads.install(|| all.par_iter_mut().map(work).collect()),
-        }
+        (steps, inputs)
     }
 }
 
@@ -171,15 +164,24 @@ impl TimedSolver {
         Self { solver: Solver::new(decoder, config), window_solve: Duration::ZERO }
     }
 
-    /// What the tracker of a performer puts out at an input.
-    fn run(&mut self, performer: usize, tracker: &mut Tracker, input: tracker::Input) -> Vec<Step> {
-        tracker.handle(input);
+    /// What the tracker of a performer puts out at its inputs.
+    fn run(
+        &mut self,
+        performer: usize,
+        tracker: &mut Tracker,
+        inputs: Vec<(usize, tracker::Input)>,
+    ) -> Vec<(usize, Step)> {
         let mut steps = Vec::new();
-        while let Some(output) = tracker.poll_and_solve(|job| self.solve(job)) {
-            let (skeleton, estimate) =
-                (tracker.skeleton().cloned(), tracker.body_estimate().clone());
-            let state = State { skeleton, estimate, window_solve: self.window_solve };
-            steps.push(Step::Output(performer, output, state));
+        for (number, input) in inputs {
+            tracker.handle(input);
+            while let Some(output) = tracker.poll_and_solve(|job| self.solve(job)) {
+                let state = State {
+                    skeleton: tracker.skeleton().cloned(),
+                    estimate: Arc::clone(tracker.body_estimate()),
+                    window_solve: self.window_solve,
+                };
+                steps.push((number, Step::Output(performer, output, state)));
+            }
         }
         steps
     }
@@ -191,5 +193,76 @@ impl TimedSolver {
             self.window_solve = begin.elapsed();
         }
         solution
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::body::Shape;
+    use crate::core::camera::Rig;
+    use crate::core::detections::Detections;
+    use crate::core::stage::Performers;
+    use crate::research::synth::{Crowd, Meeting, Noise, Recording};
+
+    /// The crossing of three people.
+    fn crossing() -> (Rig, Vec<Detections>) {
+        let meeting = Meeting { people: 3, distance: None };
+        let rig = meeting.rig(4).unwrap();
+        let recording = |person| {
+            let (body, motion) = meeting.person(person, 1);
+            let mut recording = Recording::new(rig.clone(), body, motion);
+            (recording.fps, recording.frames) = (60.0, 240);
+            (recording.noise, recording.seed) = (Noise::studio(), 1 + person as u64);
+            recording
+        };
+        let crowd = Crowd::new((0..3).map(recording).collect());
+        let frames = crowd.detections().map(|(frame, _)| frame).collect();
+        (rig, frames)
+    }
+
+    #[test]
+    fn all_happens_in_the_order_of_one_thread_that_solves_each_job_at_once() {
+        let (rig, frames) = crossing();
+        let (decoder, config) = (Decoder::embedded().unwrap(), Config::default());
+        let tracker = Tracker::new(config, Arc::new(rig));
+        let body = Some(Arc::new(Skeleton::new(Shape::symmetric([0.5; 10]))));
+        let stage = || {
+            Stage::new(tracker.clone(), Performers::Auto, None)
+                .with_bodies(vec![None, body.clone()])
+        };
+        let of = |performer: usize, output: &Output| format!("{performer}: {output:?}");
+        let (mut stage_alone, mut solver) = (stage(), Solver::new(decoder.clone(), config));
+        let mut alone = Vec::new();
+        for frame in frames.iter().map(Some).chain([None]) {
+            alone.extend(frame.map(|frame| format!("{frame:?}")));
+            stage_alone.handle(frame.cloned().map_or(Input::End, Input::Detections));
+            while let Some(output) = stage_alone.poll_and_solve(|job| solver.solve(job)) {
+                alone.extend(match output {
+                    Of::Performer(performer, output) => Some(of(performer.0, &output)),
+                    Of::Event(event) => Some(of(0, &Output::Event(event))),
+                    Of::Frames(..) => None,
+                });
+            }
+        }
+        for threads in [1, 3] {
+            let mut driver = Driver::new(stage(), decoder.clone(), config, threads);
+            let mut steps = Vec::new();
+            for frame in frames.iter().map(Some).chain([None]) {
+                let item = frame.map(|frame| Item::Detections(frame.clone(), 0));
+                let take = |step| {
+                    steps.push(match step {
+                        Step::Item(Item::Detections(frame, _)) => format!("{frame:?}"),
+                        Step::Item(_) => unreachable!("no truth is given"),
+                        Step::Output(performer, output, _) => of(performer, &output),
+                    });
+                    Ok(())
+                };
+                driver.feed(item, take).unwrap();
+            }
+            let poses = steps.iter().filter(|step| step.starts_with("2: Pose")).count();
+            assert!(poses > 200, "{poses}");
+            assert!(steps == alone, "{threads} threads");
+        }
     }
 }

@@ -17,7 +17,7 @@ use crate::core::cost;
 use crate::core::detections::Detections;
 use crate::core::stage::Stage;
 use crate::core::time::Nanos;
-use crate::core::tracker::{self, BodyEstimator, EventKind, FramePeriod, Output, Tracker};
+use crate::core::tracker::{self, BodyEstimator, Effort, EventKind, FramePeriod, Output, Tracker};
 use crate::diagnose::Evidence;
 
 /// Most frames that wait for their poses.
@@ -26,18 +26,36 @@ const WAITING: usize = 8192;
 /// An optimiser of the first pass stops if a step lowers the cost by less than this fraction.
 const COARSE_CHANGE: f64 = 0.03;
 
-/// The settings of a first pass over `frames` frames of that period, ns (0: not known): the body is
-/// estimated from windows of the whole recording. It needs no corrections, and no exact poses.
+/// A take is long if it has so many windows for each one that estimates the body.
+const LONG: usize = 16;
+
+/// In a long take, this part of [`tracker::Config::reference_rate_hz`] is the rate of keyframes and used frames, about.
+const COARSE_RATE: f64 = 0.5;
+
+/// The settings and the effort of a first pass over `frames` frames of that period, ns (0: not known): the body is
+/// estimated from windows of the whole recording. It needs no corrections, and no exact poses. Of a long take it uses
+/// about 30 frames a second, and has as many keyframes.
 pub fn first_pass_settings(
     config: tracker::Config,
     frames: usize,
     period_ns: f64,
-) -> tracker::Config {
-    let windows = frames / config.at_period(period_ns).publish();
-    let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
-    let cost = cost::Config { correction_prior: 0.0, ..config.cost };
-    let change_threshold = config.change_threshold.max(COARSE_CHANGE);
-    tracker::Config { body_windows, change_threshold, cost, ..config }
+) -> (tracker::Config, Effort) {
+    let period_ns = if config.frame_rate_hz > 0.0 { 1e9 / config.frame_rate_hz } else { period_ns };
+    let part = |config: &tracker::Config| {
+        frames / config.at_period(period_ns).publish() / tracker::BODY_WINDOWS
+    };
+    let (mut config, mut stride) = (config, 1);
+    if part(&config) >= LONG {
+        config.reference_rate_hz *= COARSE_RATE;
+        stride = config.at_period(period_ns).window() / config.window();
+    }
+    let settings = tracker::Config {
+        body_windows: part(&config).max(1),
+        change_threshold: config.change_threshold.max(COARSE_CHANGE),
+        cost: cost::Config { correction_prior: 0.0, ..config.cost },
+        ..config
+    };
+    (settings, Effort { stride, ..Effort::full(&settings) })
 }
 
 /// A camera's time offset: what is added to its capture times to agree with the other cameras.
@@ -106,11 +124,12 @@ fn driver(
     period: Option<FramePeriod>,
 ) -> Result<Driver, Error> {
     let period_ns = period.map_or(0.0, |period| period.ns);
-    let config = first_pass_settings(options.config, frames as usize, period_ns);
+    let (config, effort) = first_pass_settings(options.config, frames as usize, period_ns);
     let tracker = Tracker::new(config, Arc::new(rig.clone()));
     let tracker = tracker.with_body_of_another_take(body.cloned());
     let stage = Stage::new(tracker, options.performers, period);
-    let stage = stage.choosing(options.choice.clone()).with_known(&options.known);
+    let mut stage = stage.choosing(options.choice.clone()).with_known(&options.known);
+    stage.set_effort(effort);
     Ok(Driver::new(stage, options.decoder()?, config, options.threads))
 }
 
@@ -121,6 +140,8 @@ struct Followed {
     poses: usize,
     /// Number of frames that the poses have reached.
     frames: usize,
+    /// The body that is estimated from most windows, and their number.
+    body: (Option<Arc<Skeleton>>, usize),
 }
 
 impl FirstPass {
@@ -200,6 +221,9 @@ impl FirstPass {
         recording.stream(rig, held_out, message, |item| driver.feed(Some(item), &mut take))?;
         driver.feed(None, take)?;
         (self.bodies, self.periods) = (driver.skeletons(), driver.frame_periods());
+        for (body, followed) in self.bodies.iter_mut().zip(&self.followed) {
+            *body = followed.body.0.clone().or(body.take());
+        }
         Ok(())
     }
 
@@ -221,12 +245,18 @@ impl FirstPass {
         if performer == 0 && state.estimate.windows() > self.estimate.windows() {
             self.estimate = Arc::clone(&state.estimate);
         }
-        let (Output::Pose(pose), Some(body)) = (output, &state.skeleton) else { return };
+        let (Output::Pose(pose), Some(skeleton)) = (output, &state.skeleton) else { return };
         let Self { followed, cameras, waiting, passed, .. } = self;
         let (cameras_count, frames) = (cameras.len(), *passed);
-        let new = || Followed { tracks: Tracks::new(cameras_count), poses: 0, frames };
+        let new =
+            || Followed { tracks: Tracks::new(cameras_count), poses: 0, frames, body: (None, 0) };
         followed.resize_with(followed.len().max(performer + 1), new);
-        let Followed { tracks, poses, frames } = &mut followed[performer];
+        let Followed { tracks, poses, frames, body } = &mut followed[performer];
+        // After a break it may be another person, or too little is left to see.
+        let windows = state.estimate.windows();
+        if windows >= body.1 {
+            *body = (Some(Arc::clone(skeleton)), windows);
+        }
         *poses += usize::from(pose.state == TrackingState::Tracking);
         *frames = (*frames).max(*passed);
         while let Some(frame) = waiting.get(*frames - *passed)
@@ -234,7 +264,7 @@ impl FirstPass {
         {
             *frames += 1;
             if pose.state == TrackingState::Tracking {
-                tracks.add(frame, &cameras[frame.camera], &pose.pose, body);
+                tracks.add(frame, &cameras[frame.camera], &pose.pose, skeleton);
             }
         }
         let reached = followed.iter().map(|one| one.frames).min().unwrap_or(0);
@@ -341,4 +371,31 @@ pub fn check_cameras(
         corrections = all.map(named).collect();
     }
     Ok(CheckedCameras { rig, offsets: pass.offsets, corrections })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_pass_over_a_long_take_uses_fewer_frames() {
+        let of = |config: tracker::Config, seconds: f64, fps: f64| {
+            let (settings, effort) =
+                first_pass_settings(config, (seconds * fps) as usize, 1e9 / fps);
+            assert_eq!(settings.validate(), Ok(()), "{fps}");
+            let settings = tracker::Config { frame_rate_hz: fps, ..settings };
+            (settings.at_period(1e9 / fps).keyframe(), effort.stride, settings.body_windows)
+        };
+        let config = tracker::Config::default();
+        assert_eq!(of(config, 30.0, 60.0), (1, 1, 14));
+        assert_eq!(of(config, 300.0, 60.0), (2, 2, 72));
+        assert_eq!(of(config, 30.0, 120.0), (2, 1, 14));
+        assert_eq!(of(config, 300.0, 120.0), (4, 4, 72));
+        // Slow cameras have no frames to spare.
+        assert_eq!(of(config, 600.0, 30.0), (1, 1, 144));
+        assert_eq!(of(tracker::Config::paper(), 300.0, 60.0).1, 1);
+        // The frame rate of the settings counts.
+        let slow = tracker::Config { frame_rate_hz: 30.0, ..config };
+        assert_eq!(first_pass_settings(slow, 18_000, 1e9 / 60.0).1.stride, 1);
+    }
 }

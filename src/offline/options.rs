@@ -50,7 +50,7 @@ pub struct Options {
     pub no_sync: bool,
     /// The timecode of the house, for the poses of poses.mcap.
     pub timecode: Option<House>,
-    /// Threads that solve several performers beside each other; 0: one for each processor. The result is the same.
+    /// Threads that solve the performers beside each other; 0: one for each processor. The result is the same.
     pub threads: usize,
     /// Adds messages for other programs, such as Foxglove, to poses.mcap.
     pub companion: Option<NewCompanion>,

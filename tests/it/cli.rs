@@ -1607,6 +1607,9 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
             assert!(count >= least, "{topic}: {count}");
         }
     }
+    place.done("solve crowd.mcap --out alone --performers auto --threads 1");
+    let poses = ["out", "alone"].map(|out| fs::read(place.path(out).join("poses.mcap")).unwrap());
+    assert!(poses[0] == poses[1], "the threads change the poses");
     let report = fs::read_to_string(place.path("out/report.html")).unwrap();
     assert!(performers.iter().all(|name| report.contains(&format!("<h2>{name}</h2>"))));
     place.done("export out/poses.mcap --out again.bvh --out again.svg");

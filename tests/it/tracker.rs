@@ -431,6 +431,48 @@ fn a_short_absence_is_extrapolated() {
     assert_eq!(run.poses.last().unwrap().state, TrackingState::Tracking);
 }
 
+/// Who is found again at once is the same performer: what is known of the body stays. Later it may be somebody else.
+#[test]
+fn the_estimate_of_the_body_goes_on_after_a_short_break() {
+    let config = Config::default();
+    let windows = |away: std::ops::Range<u64>| {
+        let mut tracker = Tracker::new(config, Arc::new(ring()));
+        let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+        let mut found = 0;
+        let frames = stream(400).into_iter().map(|mut frame| {
+            frame.people.retain(|_| !away.contains(&frame.frame));
+            frame
+        });
+        run_to_end(&mut tracker, &mut solver, frames, |output| {
+            let is_found =
+                matches!(&output, Output::Event(event) if event.kind == EventKind::Acquired);
+            found += usize::from(is_found);
+        });
+        (found, tracker.body_estimate().windows())
+    };
+    let (found, soon) = windows(260..300);
+    assert!(found == 2 && soon >= 15, "{found} {soon}");
+    let (found, late) = windows(260..340);
+    assert!(found == 2 && late <= 4, "{found} {late}");
+}
+
+/// A camera at half the rate, with frames at the times between, counts with half of the frames, too.
+#[test]
+fn each_camera_counts_with_less_effort() {
+    let config = Config::default();
+    let mut tracker = Tracker::new(config, Arc::new(ring()));
+    tracker.set_effort(Effort { stride: 2, ..Effort::full(&config) });
+    let is_there =
+        |frame: &Detections| frame.camera == 0 || (frame.camera, frame.frame % 2) == (1, 1);
+    let run = run_with(tracker, config, stream(120).into_iter().filter(is_there));
+    assert!(run.windows.len() > 20, "{}", run.windows.len());
+    assert!(
+        run.windows.iter().all(|window| window.verdict == Verdict::Tracked),
+        "{:?}",
+        run.events
+    );
+}
+
 #[test]
 fn the_shape_waits_for_enough_frames() {
     let mut frames = stream(101);

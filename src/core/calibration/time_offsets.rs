@@ -70,8 +70,9 @@ pub fn time_offsets(
     if known.is_empty() {
         centre(&mut offsets);
         let information = linearise(&offsets).information();
-        let near = (0..cameras.len()).filter(|&i| offsets[i].abs() < 1.5);
-        reference = near.max_by(|&i, &j| information[i].total_cmp(&information[j]));
+        // A camera with the median offset; those of the others are relative to it.
+        let usual = (0..cameras.len()).filter(|&i| offsets[i] == 0.0);
+        reference = usual.max_by(|&i, &j| information[i].total_cmp(&information[j]));
         free.retain(|&i| Some(i) != reference);
     }
     let mut found = Normal::estimate(linearise, offsets, free);

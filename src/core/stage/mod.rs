@@ -315,11 +315,6 @@ impl Stage {
         &self.trackers
     }
 
-    /// Whether it follows several performers.
-    pub(crate) fn has_several(&self) -> bool {
-        self.crowd.is_some()
-    }
-
     /// As [`Stage::trackers`].
     pub(crate) fn trackers_mut(&mut self) -> &mut [Tracker] {
         &mut self.trackers
@@ -459,13 +454,22 @@ impl Stage {
         self.crowd = Some(crowd);
     }
 
-    /// As [`Stage::handle`], but the caller gives the trackers what is for them: offline, they do not depend on each other.
+    /// As [`Stage::handle`] and [`Stage::poll`], but the caller gives the trackers what is for them: offline, they do not
+    /// depend on each other.
     pub(crate) fn route(&mut self, input: Input) -> VecDeque<Next> {
-        if self.crowd.is_none() {
-            return [Next::Tracker(0, of_tracker(input))].into();
+        match self.crowd {
+            Some(_) => self.handle(input),
+            None => self.next.push_back(Next::Tracker(0, of_tracker(input))),
         }
-        self.handle(input);
-        std::mem::take(&mut self.next)
+        let mut all = VecDeque::new();
+        for (one, tracker) in self.trackers.iter_mut().enumerate() {
+            // A new one puts out its body.
+            while let Some(output) = tracker.poll() {
+                all.push_back(Next::Output(Output::Performer(PerformerId(one), output)));
+            }
+        }
+        all.append(&mut self.next);
+        all
     }
 
     /// Live: gives the lead the frames of one time, with those people who are no other performer's.

@@ -12,7 +12,11 @@ use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
 use crate::core::body::{Pose, Skeleton, TrackingState};
 use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe, in_order};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
+
+/// Who is found again so soon, and so near, is the same performer.
+const SOON: Nanos = Nanos::SECOND;
+const NEAR_M: f64 = 2.0;
 
 /// A body is checked if the detections fit it this many times worse than at first.
 const DOUBT: f64 = 1.4;
@@ -61,7 +65,9 @@ impl Tracker {
         if self.skeleton.is_none() {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
             (self.estimator, self.noise) = (Arc::default(), Noise::default());
-        } else if self.config.body_windows > 0 && (!is_in_view || self.estimator.is_early()) {
+        } else if self.config.body_windows > 0
+            && (self.estimator.is_early() || !(is_in_view || self.goes_on_with(&first)))
+        {
             // It may be another performer, or the estimate is from a wrong pose.
             self.estimator = Arc::new(self.estimator.after_a_break());
         }
@@ -82,6 +88,17 @@ impl Tracker {
         // Those of the path before say nothing of this one.
         self.deviations = None;
         self.phase = Phase::Tracking { past: vec![first], coasted: 0 };
+    }
+
+    /// Whether the estimate of the body goes on: it is not complete, and who was found is the performer of before. The stage
+    /// knows that, or it is too soon for another one.
+    fn goes_on_with(&self, found: &TimedKeyframe) -> bool {
+        let is_near = |last: &TimedKeyframe| {
+            let moved = found.keyframe.root_position - last.keyframe.root_position;
+            found.capture - last.capture < SOON && moved.norm() < NEAR_M
+        };
+        !self.estimator.is_complete()
+            && (self.is_fed || self.last_seen.as_ref().is_some_and(is_near))
     }
 
     /// Continues the search one window later.
@@ -145,6 +162,9 @@ impl Tracker {
         self.is_proven |= state == TrackingState::Tracking;
         if let Some(estimator) = tracked.estimator {
             self.improve_body(window.publish, estimator);
+        }
+        if state == TrackingState::Tracking {
+            self.last_seen = done.last().cloned();
         }
         self.enter_phase(done, ahead, state, is_fitted);
         self.start = Some(window.publish);

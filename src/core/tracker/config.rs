@@ -63,7 +63,7 @@ pub struct Config {
     pub change_threshold: f64,
     /// The optimiser of the windows.
     pub optimiser: OptimiserKind,
-    /// Threads that solve a window together, 1 or 2. The result is the same.
+    /// Threads of the node that solve a window together, 1 or 2. The result is the same. `solve` does not use it.
     pub threads: usize,
     /// Weights of the cost.
     pub cost: cost::Config,

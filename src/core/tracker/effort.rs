@@ -28,6 +28,11 @@ impl Effort {
         }
     }
 
+    /// Whether there is time for more than the usual iterations of a window.
+    pub(super) fn has_time(&self, config: &Config) -> bool {
+        self.stride == 1 || self.iterations == config.iterations
+    }
+
     /// The effort at a degradation level: higher levels first use fewer iterations, then fewer
     /// frames. The keyframes stay the same, so that the latency does not grow.
     pub fn at(level: u32, config: &Config) -> Self {

@@ -65,14 +65,18 @@ impl Job {
         self.every(self.effort.stride)
     }
 
-    /// Every `stride`th frame of each camera, counted back from the end: the same times for all.
+    /// The last frame of each camera in every `stride` nominal frames, counted back from the end; all frames if that is 1.
     pub(super) fn every(&self, stride: usize) -> impl Iterator<Item = &Arc<Detections>> {
-        let (stride, period) = (stride.max(1) as i64, self.frame_period.ns().max(1));
-        self.frames.iter().filter(move |frame| {
-            let back = (self.end - frame.capture).ns() + period / 2;
-            let back = back.div_euclid(period);
-            back % stride == 0
-        })
+        let stride = stride.max(1);
+        let slot = self.frame_period.ns().max(1) * stride as i64;
+        let mut last = vec![None; self.rig.cameras.len()];
+        let is_used = |frame: &&Arc<Detections>| {
+            let back = (self.end - frame.capture + self.half_period()).ns();
+            let (last, slot) = (&mut last[frame.camera], Some(back.div_euclid(slot)));
+            stride == 1 || std::mem::replace(last, slot) != slot
+        };
+        let used: Vec<_> = self.frames.iter().rev().filter(is_used).collect();
+        used.into_iter().rev()
     }
 
     /// Number of nominal frames to use, at least 1.

@@ -65,6 +65,8 @@ pub struct Tracker {
     pub(super) stagger: usize,
     pub(super) idle: Idle,
     pub(super) phase: Phase,
+    /// The last keyframe of the last window that was tracked.
+    pub(super) last_seen: Option<TimedKeyframe>,
     pub(super) skeleton: Option<Arc<Skeleton>>,
     pub(super) estimator: Arc<BodyEstimator>,
     pub(super) noise: Noise,
@@ -129,6 +131,7 @@ impl Tracker {
             stagger: 0,
             idle: Idle::default(),
             phase: Phase::Searching,
+            last_seen: None,
             skeleton: None,
             estimator: Arc::default(),
             noise: Noise::default(),

@@ -54,11 +54,8 @@ impl Tracker {
         (self.skeleton, self.is_proven) = (Some(skeleton), true);
         self.window = self.window.max(window);
         self.intake.refuse(until);
-        let Some(motion) = motion else {
-            self.estimator = Arc::new(estimate.after_a_break());
-            return;
-        };
         self.estimator = estimate;
+        let Some(motion) = motion else { return };
         self.phase = Phase::Tracking { past: motion.past, coasted: motion.coasted };
         (self.frames, self.first_output) = (Some(motion.frames), Some(motion.first_pose));
         (self.period, self.start) = (Some(motion.frames.period_ns), Some(until));

@@ -83,8 +83,9 @@ impl Take {
     pub fn with_body(mut self, decoder: &Decoder) -> Self {
         let config = Config { frame_rate_hz: self.fps, ..Config::default() };
         let frames = self.frames.iter().filter(|frame| frame.camera == 0).count();
-        let config = first_pass_settings(config, frames, 1e9 / self.fps);
+        let (config, effort) = first_pass_settings(config, frames, 1e9 / self.fps);
         let mut tracker = Tracker::new(config, Arc::clone(&self.rig));
+        tracker.set_effort(effort);
         let mut solver = Solver::new(decoder.clone(), config);
         run_to_end(&mut tracker, &mut solver, self.frames.iter().cloned(), |_| {});
         self.body = tracker.skeleton().cloned();

@@ -29,8 +29,11 @@ impl Solver {
     ) -> Option<Outcome> {
         let every = self.config.fresh_fit_windows as u64;
         // With many cameras it takes as long as several windows: not when there is no time.
-        let is_due = every > 0 && job.effort.stride == 1 && job.window.is_multiple_of(every);
-        if !is_due || self.misfit(job, points, solved, observations).1 == 0 {
+        let is_due = every > 0 && job.window.is_multiple_of(every);
+        if !is_due
+            || !job.effort.has_time(&self.config)
+            || self.misfit(job, points, solved, observations).1 == 0
+        {
             return None;
         }
         let found = self.acquire(job, points, Some(skeleton));

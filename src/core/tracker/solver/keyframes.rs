@@ -78,7 +78,7 @@ impl Solver {
         let catch_up = self.config.catch_up_iterations.min(steps.iterations);
         if steps.may_catch_up
             && catch_up > 0
-            && job.effort.stride == 1
+            && job.effort.has_time(&self.config)
             && job.noise.is_settled()
             && let Some(wide) = widened(&mut problem, &x, observations, &job.rig, scale_px)
         {
