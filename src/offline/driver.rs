@@ -19,6 +19,9 @@ use crate::core::tracker::{
 /// So many items of the recording are solved together.
 const BATCH: usize = 512;
 
+/// What happens, by its number in the order of all.
+type Numbered<T> = Vec<(usize, T)>;
+
 /// The stage and its solvers.
 pub(crate) struct Driver {
     stage: Stage,
@@ -122,8 +125,8 @@ impl Driver {
         }
     }
 
-    /// What happens with the items that wait, and the inputs of the trackers by performer. All are numbered in order.
-    fn route(&mut self, is_end: bool) -> (Vec<(usize, Step)>, Vec<Vec<(usize, tracker::Input)>>) {
+    /// What happens with the items that wait, and the inputs of the trackers by performer.
+    fn route(&mut self, is_end: bool) -> (Numbered<Step>, Vec<Numbered<tracker::Input>>) {
         let (mut steps, mut inputs, mut number) = (Vec::new(), Vec::new(), 0);
         let end = is_end.then_some(None);
         for item in std::mem::take(&mut self.batch).into_iter().map(Some).chain(end) {
@@ -169,8 +172,8 @@ impl TimedSolver {
         &mut self,
         performer: usize,
         tracker: &mut Tracker,
-        inputs: Vec<(usize, tracker::Input)>,
-    ) -> Vec<(usize, Step)> {
+        inputs: Numbered<tracker::Input>,
+    ) -> Numbered<Step> {
         let mut steps = Vec::new();
         for (number, input) in inputs {
             tracker.handle(input);
@@ -196,7 +199,7 @@ impl TimedSolver {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "research"))]
 mod tests {
     use super::*;
     use crate::core::body::Shape;
