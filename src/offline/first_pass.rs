@@ -222,7 +222,9 @@ impl FirstPass {
         driver.feed(None, take)?;
         (self.bodies, self.periods) = (driver.skeletons(), driver.frame_periods());
         for (body, followed) in self.bodies.iter_mut().zip(&self.followed) {
-            *body = followed.body.0.clone().or(body.take());
+            if let (Some(body), Some(best)) = (body, &followed.body.0) {
+                body.clone_from(best);
+            }
         }
         Ok(())
     }
