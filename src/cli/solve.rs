@@ -73,8 +73,8 @@ pub(super) struct Arguments {
     /// own, too.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
     pub(super) jobs: Option<u8>,
-    /// Threads of each solve, with the same result: performers are solved beside each other. Default: one for each
-    /// processor; 1 with --jobs.
+    /// Threads of each solve. They solve several performers in parallel; the poses are the same with any number.
+    /// Default: one for each processor; 1 with --jobs.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     threads: Option<u8>,
     /// Replace the files of an earlier solve.

@@ -48,11 +48,12 @@ pub fn estimate_body(
         let period = recording.frame_period(&rig)?;
         let pass = FirstPass::run(recording, &options, &mut rig, period, &mut [], observer)?;
         pass.lead(recording)?;
-        let windows = pass.estimate.windows();
-        let alone = shared_body(&[&pass.estimate]).filter(|_| windows > 0);
+        let estimate = pass.estimate();
+        let windows = estimate.windows();
+        let alone = shared_body(&[&estimate]).filter(|_| windows > 0);
         let alone_mm = alone.map(|body| segment_lengths(&body).map(|length| 1e3 * length));
         let limbs = alone_mm.map(|lengths| lengths.iter().sum::<f64>());
-        estimates.extend(limbs.map(|limbs| (takes.len(), limbs, pass.estimate)));
+        estimates.extend(limbs.map(|limbs| (takes.len(), limbs, estimate)));
         let recording = recording.path().to_owned();
         takes.push(TakeBody { recording, windows, alone_mm, may_be_another_person: false });
     }

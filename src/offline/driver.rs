@@ -1,5 +1,5 @@
-//! Drives the stage with a recording. The performers are solved beside each other, on several threads: offline, none
-//! of them depends on another one's poses. The result is the same with any number of threads.
+//! Drives the stage with a recording. Several threads solve the performers in parallel: offline, none of them depends on
+//! the poses of another one. The result is the same with any number of threads.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -16,10 +16,10 @@ use crate::core::tracker::{
     self, BodyEstimator, Config, Job, Output, Solution, Solver, Task, Tracker,
 };
 
-/// So many items of the recording are solved together.
+/// Number of items of the recording that are solved together.
 const BATCH: usize = 512;
 
-/// What happens, by its number in the order of all.
+/// Steps or inputs, each with its number. The numbers give the order of all.
 type Numbered<T> = Vec<(usize, T)>;
 
 /// The stage and its solvers.
@@ -39,7 +39,7 @@ pub(crate) struct Driver {
 pub(crate) enum Step {
     /// The recording has come to this item.
     Item(Item),
-    /// The stage has put this out, with the number of the performer. What concerns the cameras is counted with the first.
+    /// An output, with the number of its performer. Outputs about the cameras have the number of the first performer.
     Output(usize, Output, State),
 }
 
@@ -55,13 +55,13 @@ pub(crate) struct State {
 }
 
 impl Driver {
-    /// With so many threads; 0: one for each processor.
+    /// `threads`: 0 is one for each processor.
     pub(crate) fn new(stage: Stage, decoder: Decoder, config: Config, threads: usize) -> Self {
         let new = || ThreadPoolBuilder::new().num_threads(threads).build();
         let threads = (threads != 1).then(new).and_then(|pool| {
             pool.inspect_err(|error| tracing::warn!("solving on one thread: {error}")).ok()
         });
-        // Threads for each performer's windows would slow down the others.
+        // More threads for a window would slow down the other performers.
         let config = Config { threads: 1, ..config };
         Self { stage, decoder, config, threads, batch: Vec::new(), steps: Vec::new() }
     }
@@ -86,8 +86,8 @@ impl Driver {
         self.stage.others()
     }
 
-    /// Passes in an item of the recording, or its end. Items wait until there are enough. What happened is passed on while
-    /// the items after that are solved, in the order of one thread that solves each job at once.
+    /// Takes the next item of the recording; `None` is its end. Items are solved in batches. While a batch is solved, the
+    /// steps of the batch before it are passed to `take`. The steps have the order of a solve on one thread.
     pub(crate) fn feed(
         &mut self,
         item: Option<Item>,
@@ -125,7 +125,7 @@ impl Driver {
         }
     }
 
-    /// What happens with the items that wait, and the inputs of the trackers by performer.
+    /// The steps of the waiting items without those of the trackers, and the inputs of the trackers by performer.
     fn route(&mut self, is_end: bool) -> (Numbered<Step>, Vec<Numbered<tracker::Input>>) {
         let (mut steps, mut inputs, mut number) = (Vec::new(), Vec::new(), 0);
         let end = is_end.then_some(None);
@@ -167,7 +167,7 @@ impl TimedSolver {
         Self { solver: Solver::new(decoder, config), window_solve: Duration::ZERO }
     }
 
-    /// What the tracker of a performer puts out at its inputs.
+    /// Gives inputs to the tracker of a performer. Returns its outputs.
     fn run(
         &mut self,
         performer: usize,

@@ -26,31 +26,31 @@ const WAITING: usize = 8192;
 /// An optimiser of the first pass stops if a step lowers the cost by less than this fraction.
 const COARSE_CHANGE: f64 = 0.03;
 
-/// A take is long if it has so many windows for each one that estimates the body.
+/// A take is long if only one window in this many, or fewer, estimates the body.
 const LONG: usize = 16;
 
-/// In a long take, this part of [`tracker::Config::reference_rate_hz`] is the rate of keyframes and used frames, about.
+/// [`tracker::Config::reference_rate_hz`] is multiplied by this for a long take.
 const COARSE_RATE: f64 = 0.5;
 
 /// The settings and the effort of a first pass over `frames` frames of that period, ns (0: not known): the body is
-/// estimated from windows of the whole recording. It needs no corrections, and no exact poses. Of a long take it uses
-/// about 30 frames a second, and has as many keyframes.
+/// estimated from windows of the whole recording. It needs no corrections, and no exact poses. In a long take it has about
+/// 30 keyframes a second, and uses as many frames of each camera.
 pub fn first_pass_settings(
     config: tracker::Config,
     frames: usize,
     period_ns: f64,
 ) -> (tracker::Config, Effort) {
     let period_ns = if config.frame_rate_hz > 0.0 { 1e9 / config.frame_rate_hz } else { period_ns };
-    let part = |config: &tracker::Config| {
+    let spacing = |config: &tracker::Config| {
         frames / config.at_period(period_ns).publish() / tracker::BODY_WINDOWS
     };
     let (mut config, mut stride) = (config, 1);
-    if part(&config) >= LONG {
+    if spacing(&config) >= LONG {
         config.reference_rate_hz *= COARSE_RATE;
         stride = config.at_period(period_ns).window() / config.window();
     }
     let settings = tracker::Config {
-        body_windows: part(&config).max(1),
+        body_windows: spacing(&config).max(1),
         change_threshold: config.change_threshold.max(COARSE_CHANGE),
         cost: cost::Config { correction_prior: 0.0, ..config.cost },
         ..config
@@ -111,11 +111,9 @@ pub(super) struct FirstPass {
     pub(super) offsets: Vec<CameraOffset>,
     /// Whether the known body did not fit and was estimated anew.
     pub(super) is_body_wrong: bool,
-    /// The estimate of the first performer's body that has most windows.
-    pub(super) estimate: Arc<BodyEstimator>,
 }
 
-/// What solves a first pass over so many frames.
+/// The driver of a first pass over `frames` frames of the busiest camera.
 fn driver(
     options: &Options,
     body: Option<&Arc<Skeleton>>,
@@ -140,8 +138,8 @@ struct Followed {
     poses: usize,
     /// Number of frames that the poses have reached.
     frames: usize,
-    /// The body that is estimated from most windows, and their number.
-    body: (Option<Arc<Skeleton>>, usize),
+    /// What was known when the estimate of the body had most windows.
+    best: State,
 }
 
 impl FirstPass {
@@ -193,7 +191,6 @@ impl FirstPass {
             passed: 0,
             offsets: Vec::new(),
             is_body_wrong: false,
-            estimate: Arc::default(),
         }
     }
 
@@ -222,7 +219,7 @@ impl FirstPass {
         driver.feed(None, take)?;
         (self.bodies, self.periods) = (driver.skeletons(), driver.frame_periods());
         for (body, followed) in self.bodies.iter_mut().zip(&self.followed) {
-            if let (Some(body), Some(best)) = (body, &followed.body.0) {
+            if let (Some(body), Some(best)) = (body, &followed.best.skeleton) {
                 body.clone_from(best);
             }
         }
@@ -244,20 +241,20 @@ impl FirstPass {
         if let Output::Event(event) = output {
             self.is_body_wrong |= event.kind == EventKind::Body;
         }
-        if performer == 0 && state.estimate.windows() > self.estimate.windows() {
-            self.estimate = Arc::clone(&state.estimate);
-        }
         let (Output::Pose(pose), Some(skeleton)) = (output, &state.skeleton) else { return };
         let Self { followed, cameras, waiting, passed, .. } = self;
         let (cameras_count, frames) = (cameras.len(), *passed);
-        let new =
-            || Followed { tracks: Tracks::new(cameras_count), poses: 0, frames, body: (None, 0) };
+        let new = || Followed {
+            tracks: Tracks::new(cameras_count),
+            poses: 0,
+            frames,
+            best: State::default(),
+        };
         followed.resize_with(followed.len().max(performer + 1), new);
-        let Followed { tracks, poses, frames, body } = &mut followed[performer];
-        // After a break it may be another person, or too little is left to see.
-        let windows = state.estimate.windows();
-        if windows >= body.1 {
-            *body = (Some(Arc::clone(skeleton)), windows);
+        let Followed { tracks, poses, frames, best } = &mut followed[performer];
+        // After a break, the person may be another one, or the rest of the take is short.
+        if state.estimate.windows() >= best.estimate.windows() {
+            best.clone_from(state);
         }
         *poses += usize::from(pose.state == TrackingState::Tracking);
         *frames = (*frames).max(*passed);
@@ -273,6 +270,11 @@ impl FirstPass {
         let done = reached.saturating_sub(*passed);
         waiting.drain(..done);
         *passed += done;
+    }
+
+    /// The estimate of the first performer's body that has most windows.
+    pub(super) fn estimate(&self) -> Arc<BodyEstimator> {
+        self.followed.first().map(|one| Arc::clone(&one.best.estimate)).unwrap_or_default()
     }
 
     /// The body of the first of the performers who were found.

@@ -50,7 +50,7 @@ pub struct Options {
     pub no_sync: bool,
     /// The timecode of the house, for the poses of poses.mcap.
     pub timecode: Option<House>,
-    /// Threads that solve the performers beside each other; 0: one for each processor. The result is the same.
+    /// Threads that solve several performers in parallel; 0: one for each processor. The poses do not depend on it.
     pub threads: usize,
     /// Adds messages for other programs, such as Foxglove, to poses.mcap.
     pub companion: Option<NewCompanion>,
@@ -73,7 +73,7 @@ impl Options {
 /// Observer of a solve; `()` ignores everything.
 pub trait Observer {
     /// A message of the recording was read. This happens [`Options::passes`] times for each,
-    /// or once more. A break ends the solve with [`Error::Stopped`](super::Error::Stopped).
+    /// or once more. Poses follow some hundred messages later. A break ends the solve with [`Error::Stopped`](super::Error::Stopped).
     fn message(&mut self) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }

@@ -70,7 +70,7 @@ pub fn time_offsets(
     if known.is_empty() {
         centre(&mut offsets);
         let information = linearise(&offsets).information();
-        // A camera with the median offset; those of the others are relative to it.
+        // The reference has the median offset, and the other offsets are relative to it.
         let usual = (0..cameras.len()).filter(|&i| offsets[i] == 0.0);
         reference = usual.max_by(|&i, &j| information[i].total_cmp(&information[j]));
         free.retain(|&i| Some(i) != reference);

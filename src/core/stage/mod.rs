@@ -24,6 +24,7 @@
 //! cameras are found from the performer who is tracked longest, and hold for all.
 
 mod associated;
+mod cameras;
 mod config;
 mod crowd;
 mod known;
@@ -39,9 +40,8 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use super::body::{Skeleton, TrackingState};
-use super::camera::{Camera, Rig};
+use super::camera::Rig;
 use super::detections::Detections;
-use super::so3;
 use super::time::{Nanos, Timestamp};
 use super::tracker::{
     self, Effort, Event, EventKind, FramePeriod, HandOver, Job, Latency, Solution, Tracker,
@@ -55,10 +55,6 @@ pub use names::{Names, NumberName};
 pub use people::{Change, Claimed, FollowError, FrameSet, Owner};
 pub use performer_id::PerformerId;
 pub use presence::{Attendance, Life, Presence};
-
-/// A camera keeps its place if a new calibration moves and turns it by less, metres and radians.
-const SAME_PLACE_M: f64 = 0.1;
-const SAME_PLACE_RAD: f64 = 0.035;
 
 /// An input of the stage. Solutions go to [`Stage::solved`].
 #[derive(Clone, Debug)]
@@ -88,10 +84,12 @@ pub enum Output {
     Frames(PerformerId, PerformerFrames),
 }
 
-/// What a tracker gets next.
+/// What happens next.
 #[derive(Clone, Debug)]
 pub(crate) enum Next {
+    /// The tracker of a performer gets an input.
     Tracker(usize, tracker::Input),
+    /// The stage puts this out.
     Output(Output),
 }
 
@@ -273,33 +271,6 @@ impl Stage {
         known.into_iter().map(with_body).collect()
     }
 
-    /// Time offsets and moved cameras are found from this performer, if nobody was before.
-    fn begin_to_watch(&mut self, performer: usize) {
-        let live = self.template.live_settings();
-        if let (Some(live), Some(tracker), 0) = (live, self.trackers.get_mut(performer), performer)
-        {
-            tracker.watch_for_all(live, None);
-        }
-    }
-
-    /// Leaves out cameras that were moved in the run before, until a calibration gives them a new pose.
-    #[must_use]
-    pub fn with_left_out(mut self, cameras: &[usize]) -> Self {
-        let left_out: Vec<bool> =
-            (0..self.rig().cameras.len()).map(|camera| cameras.contains(&camera)).collect();
-        self.all().for_each(|tracker| tracker.leave_out_moved(left_out.clone()));
-        if let Some(crowd) = &mut self.crowd {
-            crowd.leave_out_moved(left_out);
-        }
-        self
-    }
-
-    /// The cameras that were moved and are left out.
-    pub fn left_out(&self) -> Vec<usize> {
-        let left_out = self.lead().left_out().into_iter().enumerate();
-        left_out.filter_map(|(camera, is_left_out)| is_left_out.then_some(camera)).collect()
-    }
-
     /// Tracks performers whose bodies are known, by number. They are not estimated.
     #[must_use]
     pub fn with_bodies(mut self, bodies: Vec<Option<Arc<Skeleton>>>) -> Self {
@@ -335,35 +306,6 @@ impl Stage {
         self.crowd.as_ref().map_or(0, Crowd::others)
     }
 
-    /// The cameras, with the time offsets in use.
-    pub fn rig(&self) -> &Arc<Rig> {
-        self.crowd.as_ref().map_or(self.lead().rig(), Crowd::rig)
-    }
-
-    /// Nominal frame period of the cameras, ns.
-    pub fn frame_period(&mut self) -> f64 {
-        match &mut self.crowd {
-            Some(crowd) => crowd.frame_period(),
-            None => self.lead().frame_period(),
-        }
-    }
-
-    /// Whether frames of a camera are waited for, and the number of them that were used.
-    pub fn camera(&mut self, camera: usize) -> (bool, u64) {
-        match &mut self.crowd {
-            Some(crowd) => crowd.camera(camera),
-            None => (self.lead().is_waited_for(camera), self.lead().used(camera)),
-        }
-    }
-
-    /// A camera is not waited for until one of its frames is given.
-    pub fn leave_out(&mut self, camera: usize) {
-        match &mut self.crowd {
-            Some(crowd) => crowd.leave_out(camera),
-            None => self.all().for_each(|tracker| tracker.leave_out(camera)),
-        }
-    }
-
     /// All trackers, and that of the next performer.
     fn all(&mut self) -> impl Iterator<Item = &mut Tracker> {
         self.trackers.iter_mut().chain([&mut self.template])
@@ -396,11 +338,6 @@ impl Stage {
         self.all().for_each(|tracker| tracker.set_delay(delay));
     }
 
-    /// By camera, all corrections of time offsets so far.
-    pub fn time_corrections(&self) -> &[Nanos] {
-        self.lead().time_corrections()
-    }
-
     /// The capture time at which a live stage needs an [`Input::Tick`], if no other input arrives
     /// before.
     pub fn wake(&mut self) -> Option<Timestamp> {
@@ -421,15 +358,7 @@ impl Stage {
         match &input {
             Input::Detections(frame) => crowd.add(frame.clone()),
             Input::Restart => crowd.restart(Arc::clone(crowd.rig())),
-            Input::Rig(rig) => {
-                if !rig.has_cameras_of(crowd.rig()) {
-                    self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
-                    crowd.leave_out_moved(Vec::new());
-                }
-                let is_same_world = is_same_world(rig, crowd.rig());
-                let rig = shifted(rig, &self.corrections);
-                if is_same_world { crowd.set_rig(rig) } else { crowd.restart(rig) }
-            }
+            Input::Rig(rig) => self.calibrate(&mut crowd, rig),
             Input::Tick(now) => crowd.tick(*now),
             Input::End => crowd.end(),
         }
@@ -454,8 +383,8 @@ impl Stage {
         self.crowd = Some(crowd);
     }
 
-    /// As [`Stage::handle`] and [`Stage::poll`], but the caller gives the trackers what is for them: offline, they do not
-    /// depend on each other.
+    /// Replaces [`Stage::handle`] and [`Stage::poll`] for a caller that gives the trackers their inputs itself. Offline, the
+    /// trackers do not depend on each other.
     pub(crate) fn route(&mut self, input: Input) -> VecDeque<Next> {
         match self.crowd {
             Some(_) => self.handle(input),
@@ -463,33 +392,13 @@ impl Stage {
         }
         let mut all = VecDeque::new();
         for (one, tracker) in self.trackers.iter_mut().enumerate() {
-            // A new one puts out its body.
+            // A new tracker puts out its body first.
             while let Some(output) = tracker.poll() {
                 all.push_back(Next::Output(Output::Performer(PerformerId(one), output)));
             }
         }
         all.append(&mut self.next);
         all
-    }
-
-    /// Live: gives the lead the frames of one time, with those people who are no other performer's.
-    fn watch(&mut self, last: &FrameSet) {
-        if !self.template.live_settings().is_some_and(|live| live.watch_cameras) {
-            return;
-        }
-        for Claimed { frame, owners } in &last.frames {
-            // A bystander who is followed is not the lead who is hidden.
-            let may_be_lead = |owner: &Owner| match owner {
-                Owner::Performer(performer) => *performer == self.lead,
-                Owner::Other => false,
-                Owner::Nobody => true,
-            };
-            let people = frame.people.iter().zip(owners);
-            let people = people.filter(|(_, owner)| may_be_lead(owner));
-            let people = people.map(|(person, _)| person.clone()).collect();
-            let seen = tracker::Input::WatchFrame(Detections { people, ..*frame });
-            self.next.push_back(Next::Tracker(self.lead, seen));
-        }
     }
 
     fn give_all(&mut self, input: &tracker::Input) {
@@ -601,43 +510,6 @@ impl Stage {
         }
     }
 
-    /// Live: what the lead has found out about the cameras holds for all performers. If the lead is not
-    /// tracked any more, another one takes over.
-    fn share_cameras(&mut self) {
-        let Some(live) = self.template.live_settings().filter(|_| self.crowd.is_some()) else {
-            return;
-        };
-        if !self.trackers.get(self.lead).is_some_and(is_tracked)
-            && let Some(next) = self.trackers.iter().position(is_tracked)
-            && let Ok([before, after]) = self.trackers.get_disjoint_mut([self.lead, next])
-        {
-            after.watch_for_all(live, Some(before));
-            self.lead = next;
-        }
-        let Some(lead) = self.trackers.get(self.lead) else { return };
-        let left_out = lead.left_out();
-        let by =
-            lead.time_corrections().iter().zip(&self.corrections).map(|(to, from)| *to - *from);
-        let by: Vec<Nanos> = by.collect();
-        if by.iter().any(|by| *by != Nanos::ZERO) {
-            self.corrections = lead.time_corrections().to_vec();
-            if let Some(crowd) = &mut self.crowd {
-                crowd.set_rig(shifted(crowd.rig(), &by));
-            }
-        }
-        if self.template.left_out() != left_out {
-            for (number, tracker) in self.trackers.iter_mut().enumerate() {
-                if number != self.lead {
-                    tracker.leave_out_moved(left_out.clone());
-                }
-            }
-            if let Some(crowd) = &mut self.crowd {
-                crowd.leave_out_moved(left_out.clone());
-            }
-            self.template.leave_out_moved(left_out);
-        }
-    }
-
     /// The next output that is not a job. `solve` solves the jobs on this thread, as with
     /// [`Tracker::poll_and_solve`].
     pub fn poll_and_solve(&mut self, mut solve: impl FnMut(&Job) -> Solution) -> Option<Output> {
@@ -654,26 +526,6 @@ impl Stage {
 
 fn is_tracked(tracker: &Tracker) -> bool {
     tracker.state() == Some(TrackingState::Tracking) && !tracker.is_idle()
-}
-
-/// Whether most cameras keep their place. Then the places of tracked people hold too.
-fn is_same_world(rig: &Rig, before: &Rig) -> bool {
-    let stays = |(now, then): &(&Camera, &Camera)| {
-        (now.centre_in_world() - then.centre_in_world()).norm() < SAME_PLACE_M
-            && so3::angle_between(&now.rotation, &then.rotation) < SAME_PLACE_RAD
-    };
-    let both = rig.cameras.iter().zip(&before.cameras);
-    rig.has_cameras_of(before) && 2 * both.filter(stays).count() > rig.cameras.len()
-}
-
-/// The cameras with these times added to their offsets.
-fn shifted(rig: &Arc<Rig>, by: &[Nanos]) -> Arc<Rig> {
-    if by.iter().all(|by| *by == Nanos::ZERO) {
-        return Arc::clone(rig);
-    }
-    let mut rig = Rig::clone(rig);
-    rig.shift_times(by);
-    Arc::new(rig)
 }
 
 fn of_tracker(input: Input) -> tracker::Input {

@@ -14,7 +14,7 @@ use crate::core::body::{Pose, Skeleton, TrackingState};
 use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe, in_order};
 use crate::core::time::{Nanos, Timestamp};
 
-/// Who is found again so soon, and so near, is the same performer.
+/// A person who is found again within this time and distance, metres, is the same performer.
 const SOON: Nanos = Nanos::SECOND;
 const NEAR_M: f64 = 2.0;
 
@@ -66,7 +66,7 @@ impl Tracker {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
             (self.estimator, self.noise) = (Arc::default(), Noise::default());
         } else if self.config.body_windows > 0
-            && (self.estimator.is_early() || !(is_in_view || self.goes_on_with(&first)))
+            && (self.estimator.is_early() || !(is_in_view || self.estimate_continues(&first)))
         {
             // It may be another performer, or the estimate is from a wrong pose.
             self.estimator = Arc::new(self.estimator.after_a_break());
@@ -90,9 +90,9 @@ impl Tracker {
         self.phase = Phase::Tracking { past: vec![first], coasted: 0 };
     }
 
-    /// Whether the estimate of the body goes on: it is not complete, and who was found is the performer of before. The stage
-    /// knows that, or it is too soon for another one.
-    fn goes_on_with(&self, found: &TimedKeyframe) -> bool {
+    /// Whether an incomplete estimate of the body continues: the person is the same performer. The stage knows this for one
+    /// of several performers; for a single one, time and place tell.
+    fn estimate_continues(&self, found: &TimedKeyframe) -> bool {
         let is_near = |last: &TimedKeyframe| {
             let moved = found.keyframe.root_position - last.keyframe.root_position;
             found.capture - last.capture < SOON && moved.norm() < NEAR_M

@@ -28,7 +28,7 @@ impl Effort {
         }
     }
 
-    /// Whether there is time for more than the usual iterations of a window.
+    /// Whether there is time for more than the usual iterations of a window: no level with fewer frames.
     pub(super) fn has_time(&self, config: &Config) -> bool {
         self.stride == 1 || self.iterations == config.iterations
     }

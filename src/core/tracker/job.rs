@@ -65,14 +65,14 @@ impl Job {
         self.every(self.effort.stride)
     }
 
-    /// The last frame of each camera in every `stride` nominal frames, counted back from the end; all frames if that is 1.
+    /// All frames, or the last one of each camera in every `stride` nominal frames. They are counted back from the end.
     pub(super) fn every(&self, stride: usize) -> impl Iterator<Item = &Arc<Detections>> {
         let stride = stride.max(1);
-        let slot = self.frame_period.ns().max(1) * stride as i64;
+        let length = self.frame_period.ns().max(1) * stride as i64;
         let mut last = vec![None; self.rig.cameras.len()];
         let is_used = |frame: &&Arc<Detections>| {
             let back = (self.end - frame.capture + self.half_period()).ns();
-            let (last, slot) = (&mut last[frame.camera], Some(back.div_euclid(slot)));
+            let (last, slot) = (&mut last[frame.camera], Some(back.div_euclid(length)));
             stride == 1 || std::mem::replace(last, slot) != slot
         };
         let used: Vec<_> = self.frames.iter().rev().filter(is_used).collect();

@@ -1,0 +1,167 @@
+//! What belongs to the cameras: it is the same for all performers.
+
+use std::sync::Arc;
+
+use super::crowd::Crowd;
+use super::people::{Claimed, FrameSet, Owner};
+use super::{Next, Stage, is_tracked};
+use crate::core::camera::{Camera, Rig};
+use crate::core::detections::Detections;
+use crate::core::so3;
+use crate::core::time::Nanos;
+use crate::core::tracker;
+
+/// A camera keeps its place if a new calibration moves and turns it by less, metres and radians.
+const SAME_PLACE_M: f64 = 0.1;
+const SAME_PLACE_RAD: f64 = 0.035;
+
+impl Stage {
+    /// Several performers: a new calibration holds for all.
+    pub(super) fn calibrate(&mut self, crowd: &mut Crowd, rig: &Arc<Rig>) {
+        if !rig.has_cameras_of(crowd.rig()) {
+            self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
+            crowd.leave_out_moved(Vec::new());
+        }
+        let is_same_world = is_same_world(rig, crowd.rig());
+        let rig = shifted(rig, &self.corrections);
+        if is_same_world { crowd.set_rig(rig) } else { crowd.restart(rig) }
+    }
+
+    /// Time offsets and moved cameras are found from this performer, if nobody was before.
+    pub(super) fn begin_to_watch(&mut self, performer: usize) {
+        let live = self.template.live_settings();
+        if let (Some(live), Some(tracker), 0) = (live, self.trackers.get_mut(performer), performer)
+        {
+            tracker.watch_for_all(live, None);
+        }
+    }
+
+    /// Leaves out cameras that were moved in the run before, until a calibration gives them a new pose.
+    #[must_use]
+    pub fn with_left_out(mut self, cameras: &[usize]) -> Self {
+        let left_out: Vec<bool> =
+            (0..self.rig().cameras.len()).map(|camera| cameras.contains(&camera)).collect();
+        self.all().for_each(|tracker| tracker.leave_out_moved(left_out.clone()));
+        if let Some(crowd) = &mut self.crowd {
+            crowd.leave_out_moved(left_out);
+        }
+        self
+    }
+
+    /// The cameras that were moved and are left out.
+    pub fn left_out(&self) -> Vec<usize> {
+        let left_out = self.lead().left_out().into_iter().enumerate();
+        left_out.filter_map(|(camera, is_left_out)| is_left_out.then_some(camera)).collect()
+    }
+
+    /// The cameras, with the time offsets in use.
+    pub fn rig(&self) -> &Arc<Rig> {
+        self.crowd.as_ref().map_or(self.lead().rig(), Crowd::rig)
+    }
+
+    /// Nominal frame period of the cameras, ns.
+    pub fn frame_period(&mut self) -> f64 {
+        match &mut self.crowd {
+            Some(crowd) => crowd.frame_period(),
+            None => self.lead().frame_period(),
+        }
+    }
+
+    /// Whether frames of a camera are waited for, and the number of them that were used.
+    pub fn camera(&mut self, camera: usize) -> (bool, u64) {
+        match &mut self.crowd {
+            Some(crowd) => crowd.camera(camera),
+            None => (self.lead().is_waited_for(camera), self.lead().used(camera)),
+        }
+    }
+
+    /// A camera is not waited for until one of its frames is given.
+    pub fn leave_out(&mut self, camera: usize) {
+        match &mut self.crowd {
+            Some(crowd) => crowd.leave_out(camera),
+            None => self.all().for_each(|tracker| tracker.leave_out(camera)),
+        }
+    }
+
+    /// By camera, all corrections of time offsets so far.
+    pub fn time_corrections(&self) -> &[Nanos] {
+        self.lead().time_corrections()
+    }
+
+    /// Live: gives the lead the frames of one time, with those people who are no other performer's.
+    pub(super) fn watch(&mut self, last: &FrameSet) {
+        if !self.template.live_settings().is_some_and(|live| live.watch_cameras) {
+            return;
+        }
+        for Claimed { frame, owners } in &last.frames {
+            // A bystander who is followed is not the lead who is hidden.
+            let may_be_lead = |owner: &Owner| match owner {
+                Owner::Performer(performer) => *performer == self.lead,
+                Owner::Other => false,
+                Owner::Nobody => true,
+            };
+            let people = frame.people.iter().zip(owners);
+            let people = people.filter(|(_, owner)| may_be_lead(owner));
+            let people = people.map(|(person, _)| person.clone()).collect();
+            let seen = tracker::Input::WatchFrame(Detections { people, ..*frame });
+            self.next.push_back(Next::Tracker(self.lead, seen));
+        }
+    }
+
+    /// Live: what the lead has found out about the cameras holds for all performers. If the lead is not
+    /// tracked any more, another one takes over.
+    pub(super) fn share_cameras(&mut self) {
+        let Some(live) = self.template.live_settings().filter(|_| self.crowd.is_some()) else {
+            return;
+        };
+        if !self.trackers.get(self.lead).is_some_and(is_tracked)
+            && let Some(next) = self.trackers.iter().position(is_tracked)
+            && let Ok([before, after]) = self.trackers.get_disjoint_mut([self.lead, next])
+        {
+            after.watch_for_all(live, Some(before));
+            self.lead = next;
+        }
+        let Some(lead) = self.trackers.get(self.lead) else { return };
+        let left_out = lead.left_out();
+        let by =
+            lead.time_corrections().iter().zip(&self.corrections).map(|(to, from)| *to - *from);
+        let by: Vec<Nanos> = by.collect();
+        if by.iter().any(|by| *by != Nanos::ZERO) {
+            self.corrections = lead.time_corrections().to_vec();
+            if let Some(crowd) = &mut self.crowd {
+                crowd.set_rig(shifted(crowd.rig(), &by));
+            }
+        }
+        if self.template.left_out() != left_out {
+            for (number, tracker) in self.trackers.iter_mut().enumerate() {
+                if number != self.lead {
+                    tracker.leave_out_moved(left_out.clone());
+                }
+            }
+            if let Some(crowd) = &mut self.crowd {
+                crowd.leave_out_moved(left_out.clone());
+            }
+            self.template.leave_out_moved(left_out);
+        }
+    }
+}
+
+/// Whether most cameras keep their place. Then the places of tracked people hold too.
+fn is_same_world(rig: &Rig, before: &Rig) -> bool {
+    let stays = |(now, then): &(&Camera, &Camera)| {
+        (now.centre_in_world() - then.centre_in_world()).norm() < SAME_PLACE_M
+            && so3::angle_between(&now.rotation, &then.rotation) < SAME_PLACE_RAD
+    };
+    let both = rig.cameras.iter().zip(&before.cameras);
+    rig.has_cameras_of(before) && 2 * both.filter(stays).count() > rig.cameras.len()
+}
+
+/// The cameras with these times added to their offsets.
+fn shifted(rig: &Arc<Rig>, by: &[Nanos]) -> Arc<Rig> {
+    if by.iter().all(|by| *by == Nanos::ZERO) {
+        return Arc::clone(rig);
+    }
+    let mut rig = Rig::clone(rig);
+    rig.shift_times(by);
+    Arc::new(rig)
+}
