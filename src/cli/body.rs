@@ -98,6 +98,13 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         rows.push(("the body".to_owned(), lengths(&body_mm)));
         say(&table(&rows));
     }
+    if arguments.cameras.is_empty() {
+        for recording in &recordings {
+            let note = recording.silent_note();
+            let note = note.map(|note| format!("{}: {note}", recording.path().display()));
+            note.iter().for_each(|note| complain("note", note));
+        }
+    }
     for take in takes.iter().filter(|take| take.may_be_another_person) {
         let text = "has limbs of another length than the other takes: is it another person?";
         complain("warning", &format!("{} {text}", take.recording.display()));

@@ -9,7 +9,7 @@ use super::Ended;
 use super::failure::Exit;
 use super::overwrite::Overwrite;
 use super::solve::Progress;
-use super::terminal::{progress, say, table};
+use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::io::formats::{Up, write_calibration};
 use crate::offline::{
@@ -25,7 +25,8 @@ cameras, with the standard error, and a verdict:
   in sync   no significant offset (3 standard errors and 0.1 frames)
   shifted   a significant offset
   unknown   too little motion to tell (standard error above 0.25 frames)
-Offsets of up to 6 frames are found. `solve` does the same and uses the significant offsets.
+Larger offsets, other frame rates and lost frames are corrected first, as `check` names them. `solve`
+does the same and uses the significant offsets.
 
 Calibration: compares the limbs in each view with those triangulated from the other views, and corrects
 the rotation, position and focal length of as few cameras as possible. Prints each camera's
@@ -75,6 +76,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let mut bar = Progress(progress(recording.messages(), "messages"));
     let found = check_cameras(&mut recording, &options, !arguments.time_only, &mut bar)?;
     bar.0.finish_and_clear();
+    recording.silent_note().iter().chain(&found.notes).for_each(|note| complain("note", note));
     if arguments.json {
         let CheckedCameras { offsets, corrections, .. } = &found;
         let all = json!({ "time_offsets": offsets, "corrections": corrections });

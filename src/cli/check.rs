@@ -19,12 +19,13 @@ Compares each camera with the others that agree, and prints the share of its poi
 5 % of the performer's height of where the others see them, the median error, and a verdict. If a
 camera disagrees, known faults are undone on it, and the one that makes it agree is named: mirrored,
 turned, scaled or stretched images, left and right exchanged, another camera's images, capture times
-up to 30 frames off, a wrong convention or unit of its pose, a wrong focal length, principal point or
-distortion, and a camera that was turned or moved. Faults of the whole recording are named too: its
-scale, up axis, keypoint order, shuffled or repeated frames.
+that are off or run too fast, lost frames, a wrong convention or unit of its pose, a wrong focal length,
+principal point or distortion, and a camera that was turned or moved. If a fault begins or ends during
+the recording, the time is named. Faults of the whole recording are named too: its scale, up axis,
+keypoint order, shuffled or repeated frames.
 
 With two cameras it is not known which one is wrong: what would make them agree is listed. A camera
-must be off by about 2 % of the performer's height to be named.
+must be off by about 2 % of the performer's height to be named, a clock by about 1 %.
 
 Exit code 15: with --strict, something is wrong.
 

@@ -56,6 +56,7 @@ missing frame. It is counted, and the first ten of each camera are named.
 Examples:
   bundlemocap import Trial_1 --calibration Calib.toml --out trial.mcap
   bundlemocap import demo/pose --calibration demo/Calib.toml --fps 60 --out demo.mcap
+  bundlemocap import take --calibration Calib.toml --fps 60 --fps phone=30 --out take.mcap
   bundlemocap import Trial_1 --calibration Calib.qca.txt --fps 60 --format body_25b --out t.mcap
   bundlemocap import json --calibration intri.yml --fps 60000/1001 --out take.mcap \\
       --camera left.json=cam01 --camera right.json=cam02")]
@@ -67,9 +68,10 @@ pub(super) struct Arguments {
     #[arg(long)]
     calibration: PathBuf,
     /// Frame rate of the cameras, 1 to 1000 Hz; a number, or a ratio such as 60000/1001. Without it, by
-    /// Pose2Sim's Config.toml, or by the MP4 videos beside the detections.
-    #[arg(long, value_parser = ratio, allow_negative_numbers = true)]
-    fps: Option<f64>,
+    /// Pose2Sim's Config.toml, or by the MP4 videos beside the detections. Again as CAMERA=FPS for a camera with
+    /// another rate.
+    #[arg(long, value_parser = rate, allow_negative_numbers = true, value_name = "FPS")]
+    fps: Vec<(Option<String>, f64)>,
     /// Order of the points: body_25, body_25b, coco_17, halpe_26, coco_wholebody_133, mediapipe_33,
     /// openpose_18 or halpe_136. Without it, by their names or number.
     #[arg(long, conflicts_with = "points")]
@@ -90,6 +92,14 @@ pub(super) struct Arguments {
     /// Refuse broken files, and cameras of the calibration without detections.
     #[arg(long)]
     strict: bool,
+}
+
+/// A frame rate, of a camera if it is named.
+fn rate(text: &str) -> Result<(Option<String>, f64), String> {
+    match text.split_once('=') {
+        Some((camera, fps)) => Ok((Some(camera.to_owned()), ratio(fps)?)),
+        None => Ok((None, ratio(text)?)),
+    }
 }
 
 fn assignment(text: &str) -> Result<(String, String), String> {
@@ -122,6 +132,11 @@ impl From<ImportError> for Failure {
 }
 
 impl Arguments {
+    /// Cameras with a frame rate of their own.
+    fn rates(&self) -> impl Iterator<Item = (String, f64)> {
+        self.fps.iter().filter_map(|(camera, fps)| Some((camera.clone()?, *fps)))
+    }
+
     /// `import openpose FOLDER` is `import FOLDER`: so it was once.
     fn folder(&self) -> Result<&Path, Failure> {
         match &self.folder[..] {
@@ -136,7 +151,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let path = arguments.folder()?;
     arguments.overwrite.check(&arguments.out)?;
     let order = arguments.format.as_deref().map(PointOrder::named).transpose()?;
-    let fps = frame_rate(arguments.fps, path)?;
+    let fps = frame_rate(arguments, path)?;
     let (cameras, convention) = (arguments.camera.clone(), arguments.convention.clone());
     let attempt = Attempt { fps, order, cameras, convention };
     let mut best = Imported::of(arguments, path, &arguments.out, attempt)?;
@@ -159,9 +174,21 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 /// The given frame rate, or that of the files beside the detections.
-fn frame_rate(given: Option<f64>, folder: &Path) -> Result<f64, Failure> {
+fn frame_rate(arguments: &Arguments, folder: &Path) -> Result<f64, Failure> {
+    let mut given = None;
+    for (camera, fps) in &arguments.fps {
+        let fps = frame_rate_option(*fps)?;
+        match (camera, given) {
+            (Some(_), _) => {}
+            (None, None) => given = Some(fps),
+            (None, Some(_)) => {
+                let message = "--fps is given twice; for one camera, write --fps CAMERA=FPS";
+                return Err(Failure::new(Exit::Usage, message));
+            }
+        }
+    }
     if let Some(fps) = given {
-        return frame_rate_option(fps);
+        return Ok(fps);
     }
     let Some((fps, file)) = frame_rate_beside(folder)? else {
         let message = format!(
@@ -214,6 +241,7 @@ impl Imported {
         let rig = &calibration.rig;
         let options = DetectionOptions {
             fps: attempt.fps,
+            rates: arguments.rates().collect(),
             order: attempt.order.clone(),
             mapping: arguments.points.clone(),
             cameras: attempt.cameras.clone(),
@@ -522,6 +550,9 @@ fn provenance(arguments: &Arguments, folder: &Path, attempt: &Attempt) -> Proven
         last(&arguments.calibration),
         attempt.fps,
     );
+    for (camera, fps) in arguments.rates() {
+        command += &format!(" --fps {camera}={fps}");
+    }
     if let Some(format) = &arguments.format {
         command += &format!(" --format {format}");
     }

@@ -289,6 +289,28 @@ impl<'a> Scene<'a> {
         (frames >= LEAST_INSTANTS.min(self.instants.len())).then_some(Fit { error, px, share })
     }
 
+    /// The relative error of a camera with a reading at each instant.
+    pub(super) fn errors(
+        &self,
+        camera: usize,
+        reading: &Reading,
+        points: &[Points],
+    ) -> Vec<Option<f64>> {
+        let at = |(time, points): (&Timestamp, &Points)| {
+            self.nearest(camera, reading, *time, points).map(|(_, found)| found.0)
+        };
+        self.instants.iter().zip(points).map(at).collect()
+    }
+
+    /// The same with the instants of a range alone.
+    pub(super) fn part(&self, instants: std::ops::Range<usize>) -> Self {
+        Self {
+            instants: self.instants[instants.clone()].to_vec(),
+            views: self.views[instants].to_vec(),
+            ..self.clone()
+        }
+    }
+
     /// The person of a camera that is nearest to the points, and the errors.
     fn nearest(
         &self,

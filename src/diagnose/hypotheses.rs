@@ -5,10 +5,6 @@ use serde::Serialize;
 
 use super::reading::Reading;
 use crate::core::camera::{Camera, Lens};
-use crate::core::time::Nanos;
-
-/// Frames by which a camera's time is shifted at most.
-const MOST_FRAMES: i64 = 30;
 
 /// What is wrong, and what fixes it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -176,24 +172,6 @@ fn intrinsics(reading: &Reading) -> Vec<Hypothesis> {
         all.push(hypothesis(Finding::new("distortion", what, fits), other, 1.1));
     }
     all
-}
-
-/// Other times of a camera: frames whose capture times are late or early.
-pub(super) fn times(reading: &Reading, period: Nanos) -> impl Iterator<Item = Hypothesis> {
-    let shifts = (-MOST_FRAMES..=MOST_FRAMES).filter(|frames| *frames != 0);
-    shifts.map(move |frames| {
-        let late = period * frames;
-        let word = if frames > 0 { "late" } else { "early" };
-        let (count, ms) = (frames.abs(), late.ms().abs());
-        let offset = (reading.camera.time_offset - reading.late - late).ms();
-        let finding = Finding::new(
-            "time_shift",
-            format!("its capture times are {count} frames ({ms:.0} ms) {word}"),
-            format!("time_offset_ms = {offset:.1} in its calibration, or fix its clock"),
-        );
-        let reading = Reading { late: reading.late + late, ..reading.clone() };
-        Hypothesis { finding, reading, weight: 1.05 }
-    })
 }
 
 /// The calibrations of other cameras.

@@ -1,5 +1,6 @@
 //! Finds the faults: the reading of each camera with which most cameras agree.
 
+use super::clock::{self, is_of_clock};
 use super::consensus::{Consensus, Fit, Points, Scene};
 use super::hypotheses::{self, Finding, Hypothesis};
 use super::performer;
@@ -24,14 +25,21 @@ const TIMES_OTHERS: f64 = 2.5;
 const WRONG_OF_THREE: f64 = 0.12;
 /// Two cameras disagree above this error of each.
 const DISAGREE: f64 = 0.05;
+/// The same for a clock: a performer who hardly moves shows little of it.
+const FITS_IN_TIME: f64 = 0.01;
+const GAIN_IN_TIME: f64 = 0.006;
 /// A fault must raise the sum of the cameras' support by this.
 const COST: f64 = 0.25;
+/// A fault explains all if the error without it is at most this many times that of the others.
+const EXPLAINS_ALL: f64 = 1.3;
 /// Sets of cameras that are tried as the right ones.
 const STARTS: usize = 3;
 /// Permutations are tried with at most so many cameras.
 const MOST_PERMUTED: usize = 16;
 /// Of two cameras, the faults that are listed: the best ones, up to this many times the least error.
 const MOST_OPTIONS: usize = 3;
+/// Frames by which the clocks of two cameras differ at most.
+const MOST_OF_TWO: i64 = 300;
 const ALIKE: f64 = 1.5;
 
 /// The cameras without their faults.
@@ -63,12 +71,15 @@ impl Judged<'_> {
 /// `None` if no cameras agree, whatever is tried.
 pub(super) fn judge<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
     let n = scene.cameras();
+    let is_seen = |camera: &usize| scene.views.iter().any(|at| !at[*camera].is_empty());
+    let seen: Vec<usize> = (0..n).filter(is_seen).collect();
+    let two = || <[usize; 2]>::try_from(&seen[..]).ok();
     if n == 2 {
-        return pair(scene, cameras);
+        return pair(scene, cameras, [0, 1]);
     }
     let starts = scene.consensuses(STARTS);
     // Images may be those of a camera that seems to have none.
-    let has_all = (0..n).all(|camera| scene.views.iter().any(|at| !at[camera].is_empty()));
+    let has_all = seen.len() == n;
     let secure =
         has_all && starts.last().is_some_and(|best| best.count() >= 3 && 2 * best.count() > n);
     let mut found: Vec<Judged> = Vec::new();
@@ -82,7 +93,13 @@ pub(super) fn judge<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<
         let start = Judged { scene: scene.clone(), consensus, findings, general };
         fix(start, cameras)
     }));
-    found.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))
+    let judged = found.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()));
+    let finds = |one: &Judged| !one.general.is_empty() || one.findings.iter().any(Option::is_some);
+    match two() {
+        // Other cameras have no images. These two may be theirs.
+        Some(two) if !judged.as_ref().is_some_and(finds) => pair(scene, cameras, two),
+        _ => judged,
+    }
 }
 
 /// Undoes one fault after another.
@@ -119,15 +136,15 @@ fn fix<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
 
 /// How a camera fits the others.
 #[derive(Clone, Copy)]
-struct Beside {
-    fit: Fit,
+pub(super) struct Beside {
+    pub(super) fit: Fit,
     /// Median and least error of the other members.
-    usual: f64,
-    least: f64,
+    pub(super) usual: f64,
+    pub(super) least: f64,
 }
 
 /// How each camera fits the others; `None` of a camera that cannot be judged.
-fn fits(judged: &Judged) -> Vec<Option<Beside>> {
+pub(super) fn fits(judged: &Judged) -> Vec<Option<Beside>> {
     let Judged { scene, consensus, .. } = judged;
     let fit = |camera: usize| {
         let points = scene.points(consensus, Some(camera));
@@ -149,34 +166,78 @@ fn explain_all(judged: &Judged, cameras: &[Camera]) -> Vec<(usize, Hypothesis)> 
     let count = consensus.count();
     let explain = |(camera, beside): (usize, Option<Beside>)| {
         let is_base = consensus.members[camera] && count <= 2;
-        let unknown = beside.filter(|_| findings[camera].is_none() && !is_base);
-        let Beside { fit: now, usual, least: of_best } = unknown?;
-        if now.error < FITS {
-            return None;
-        }
+        let beside = beside.filter(|_| findings[camera].is_none() && !is_base)?;
         let points = scene.points(consensus, Some(camera));
-        let (best, error) = explain(scene, camera, &points, cameras)?;
-        let (times, [least, most]) = GAIN_FREE;
-        let gain = if best.weight < 1.2 { GAIN } else { (times * of_best).clamp(least, most) };
-        let explained =
-            error < (EXPLAINED * now.error).min(now.error - gain).min(2.0 * usual + FITS);
-        explained.then_some((camera, best))
+        Some((camera, explained(scene, camera, &points, beside, cameras)?))
     };
     fits(judged).into_iter().enumerate().filter_map(explain).collect()
 }
 
-/// The fault that explains most, and the error without it.
+/// The fault of a camera that explains why it does not fit the others.
+pub(super) fn explained(
+    scene: &Scene,
+    camera: usize,
+    points: &[Points],
+    beside: Beside,
+    cameras: &[Camera],
+) -> Option<Hypothesis> {
+    let Beside { fit: now, usual, least: of_best } = beside;
+    if now.error < FITS_IN_TIME {
+        return None;
+    }
+    let (best, error) = match now.error < FITS {
+        true => explain_in_time(scene, camera, points)?,
+        false => explain(scene, camera, points, usual, cameras)?,
+    };
+    let (times, [least, most]) = GAIN_FREE;
+    let gain = match best.weight {
+        _ if is_of_clock(&best.finding) => GAIN_IN_TIME,
+        weight if weight < 1.2 => GAIN,
+        _ => (times * of_best).clamp(least, most),
+    };
+    let is_explained =
+        error < (EXPLAINED * now.error).min(now.error - gain).min(2.0 * usual + FITS);
+    is_explained.then_some(best)
+}
+
+/// The fault that explains most, and the error without it. `usual` is the error of the others.
 fn explain(
     scene: &Scene,
     camera: usize,
     points: &[Points],
+    usual: f64,
     cameras: &[Camera],
 ) -> Option<(Hypothesis, f64)> {
     let reading = &scene.readings[camera];
     let mut all = hypotheses::of_one(reading);
-    all.extend(hypotheses::times(reading, scene.periods[camera]));
+    all.extend(clock::shifts(reading, scene.periods[camera]));
     all.extend(hypotheses::others(reading, cameras.iter()));
     all.extend(placement::placements(reading, &scene.matches(camera, reading, points)));
+    let found = best(scene, camera, points, all);
+    let explains_all = |(one, error): &(Hypothesis, f64)| {
+        // Motion may be periodic: another shift may fit better.
+        *error < EXPLAINS_ALL * usual && !is_of_clock(&one.finding)
+    };
+    if found.as_ref().is_some_and(explains_all) {
+        return found;
+    }
+    let all = found.map(|(one, _)| one).into_iter().chain(clock::clocks(scene, camera, points));
+    best(scene, camera, points, all)
+}
+
+/// The same of the faults of clocks alone, without large shifts.
+fn explain_in_time(scene: &Scene, camera: usize, points: &[Points]) -> Option<(Hypothesis, f64)> {
+    let shifts = clock::shifts(&scene.readings[camera], scene.periods[camera]);
+    best(scene, camera, points, shifts.chain(clock::rates(scene, camera, points)))
+}
+
+/// The hypothesis with the least weighed error, and its error.
+fn best(
+    scene: &Scene,
+    camera: usize,
+    points: &[Points],
+    all: impl IntoIterator<Item = Hypothesis>,
+) -> Option<(Hypothesis, f64)> {
     let tried = all.into_iter().filter_map(|hypothesis| {
         let error = scene.fit(camera, &hypothesis.reading, points)?.error;
         Some((hypothesis, error))
@@ -230,42 +291,67 @@ fn common<'a>(scene: &Scene<'a>) -> Option<Judged<'a>> {
     tried.max_by(|a, b| a.score().total_cmp(&b.score()))
 }
 
+/// What would make two cameras agree.
+struct Alternative {
+    error: f64,
+    text: String,
+    consensus: Consensus,
+    /// The camera and the fault, if it is one of its clock.
+    shift: Option<(usize, Hypothesis)>,
+}
+
 /// Two cameras: which one is wrong is not known, but what would make them agree.
-fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
+fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Judged<'a>> {
+    let [first, second] = two;
     let error = |scene: &Scene| {
         let consensus = scene.agree()?;
         let points = scene.points(&consensus, None);
         let fit = |camera| scene.fit(camera, &scene.readings[camera], &points);
-        let error = fit(0)?.error.max(fit(1)?.error);
+        let error = fit(first)?.error.max(fit(second)?.error);
         let height = performer::height_m(&points)?;
         Some((error, height, consensus))
     };
     let now = error(scene);
     let disagreement = now.as_ref().map(|now| now.0);
     let judged = |consensus, general| {
-        let findings = vec![None; 2];
+        let findings = vec![None; cameras.len()];
         Judged { scene: scene.clone(), consensus, findings, general }
     };
     if disagreement.is_some_and(|error| error < FITS / 2.0) {
         return now.map(|(_, _, consensus)| judged(consensus, Vec::new()));
     }
+    let before = disagreement.unwrap_or(2.0 * DISAGREE);
+    // Without the fault, the two agree on somebody.
+    let alternative = |camera: usize, hypothesis: Hypothesis| {
+        let (error, height, consensus) =
+            error(&scene.with_one(camera, hypothesis.reading.clone()))?;
+        let is_explained = error < EXPLAINED * before && before - error > GAIN / 2.0;
+        let Finding { what, fix, .. } = &hypothesis.finding;
+        let text = format!("camera {}: {what} ({fix})", cameras[camera].name);
+        let shift = Some((camera, hypothesis.clone())).filter(|_| is_of_clock(&hypothesis.finding));
+        let option = Alternative { error: error * hypothesis.weight, text, consensus, shift };
+        (is_explained && (1.2..2.3).contains(&height)).then_some(option)
+    };
     let mut options = Vec::new();
-    for (camera, Camera { name, .. }) in cameras.iter().enumerate() {
+    for camera in two {
         let reading = &scene.readings[camera];
         let mut all = hypotheses::of_one(reading);
         all.extend(placement::factors(reading));
-        all.extend(hypotheses::times(reading, scene.periods[camera]));
-        for hypothesis in all {
-            let tried = scene.with_one(camera, hypothesis.reading);
-            let Some((error, height, consensus)) = error(&tried) else { continue };
-            let before = disagreement.unwrap_or(2.0 * DISAGREE);
-            let explained = error < EXPLAINED * before && before - error > GAIN / 2.0;
-            if explained && (1.2..2.3).contains(&height) {
-                let Finding { what, fix, .. } = hypothesis.finding;
-                let text = format!("camera {name}: {what} ({fix})");
-                options.push((error * hypothesis.weight, text, consensus));
-            }
-        }
+        all.extend(clock::shifts(reading, scene.periods[camera]));
+        options.extend(all.into_iter().filter_map(|one| alternative(camera, one)));
+    }
+    if options.iter().all(|option| option.shift.is_some()) {
+        let both = |scene: &Scene| {
+            let are_there = |at: &&Vec<Vec<_>>| two.iter().all(|camera| !at[*camera].is_empty());
+            scene.views.iter().filter(are_there).count()
+        };
+        let least = both(scene) / 2;
+        let error = |reading: &Reading| {
+            let tried = scene.with_one(second, reading.clone());
+            error(&tried).map(|(error, ..)| error).filter(|_| both(&tried) >= least)
+        };
+        let far = clock::far(scene, second, MOST_OF_TWO, error);
+        options.extend(far.and_then(|far| alternative(second, far)));
     }
     let of_both =
         disagreement.is_none_or(|error| error > DISAGREE).then(|| common(scene)).flatten();
@@ -275,24 +361,36 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
         && (1.2..2.3).contains(&height)
         && let Some(Finding { what, fix, .. }) = general.first()
     {
-        options.push((error, format!("{what} ({fix})"), consensus));
+        let text = format!("{what} ({fix})");
+        options.push(Alternative { error, text, consensus, shift: None });
     }
     let readings = &scene.readings;
-    let exchanged: Vec<Reading> =
-        [0, 1].map(|i| Reading { camera: cameras[1 - i].clone(), ..readings[i].clone() }).into();
+    let mut exchanged = readings.clone();
+    exchanged[first].camera = cameras[second].clone();
+    exchanged[second].camera = cameras[first].clone();
     if let Some((error, _, consensus)) = error(&scene.with(exchanged))
-        && error < EXPLAINED * disagreement.unwrap_or(2.0 * DISAGREE)
+        && error < EXPLAINED * before
     {
-        options.push((error, "the two cameras are exchanged".to_owned(), consensus));
+        let text = "the two cameras are exchanged".to_owned();
+        options.push(Alternative { error, text, consensus, shift: None });
     }
-    options.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let least = options.first().map_or(0.0, |best| best.0);
-    options.retain(|option| option.0 <= ALIKE * least);
+    options.sort_by(|a, b| a.error.total_cmp(&b.error));
+    let least = options.first().map_or(0.0, |best| best.error);
+    options.retain(|option| option.error <= ALIKE * least);
+    // Only their clocks can be wrong; which one is the same.
+    if options.iter().all(|option| option.shift.is_some())
+        && let Some(Alternative { consensus, shift: Some((camera, best)), .. }) = options.first()
+    {
+        let scene = scene.with_one(*camera, best.reading.clone());
+        let mut findings = vec![None; cameras.len()];
+        findings[*camera] = Some(best.finding.clone());
+        return Some(Judged { scene, consensus: consensus.clone(), findings, general: Vec::new() });
+    }
     let disagrees = disagreement.is_none_or(|error| error > DISAGREE) || !options.is_empty();
-    let consensus = options.first().map(|option| option.2.clone());
+    let consensus = options.first().map(|option| option.consensus.clone());
     let consensus = now.map(|now| now.2).or(consensus);
     let texts: Vec<String> =
-        options.into_iter().take(MOST_OPTIONS).map(|option| option.1).collect();
+        options.into_iter().take(MOST_OPTIONS).map(|option| option.text).collect();
     let what = "the two cameras disagree; which one is wrong is not known";
     let fix = match texts.is_empty() {
         true => "calibrate again; a third camera would tell".to_owned(),

@@ -12,6 +12,8 @@
 //! performer is used; where there is none, everybody who is nobody else is kept, because a wrong camera
 //! sees the performer in another place.
 
+mod change;
+mod clock;
 mod consensus;
 mod evidence;
 mod exchange;
@@ -22,10 +24,12 @@ mod order;
 mod performer;
 mod placement;
 mod reading;
+mod times;
 
 pub use evidence::Evidence;
 use footage::Footage;
 pub use hypotheses::Finding;
+pub(crate) use times::WrongTimes;
 
 use std::fmt;
 
@@ -45,6 +49,8 @@ const LOOSELY_PERCENT: f64 = 60.0;
 const LEAST_PERCENT: f64 = 30.0;
 /// The order of the keypoints is wrong if another one makes the limbs this much less strange.
 const LESS_STRANGE: f64 = 0.5;
+/// Faults that only somebody who moves shows.
+const MOTION: [&str; 5] = ["time_shift", "frame_rate", "frames_lost", "frames_added", "shuffled"];
 /// Limbs of people are less strange than this.
 const STRANGE: f64 = 0.35;
 
@@ -78,6 +84,9 @@ pub struct CameraCheck {
     pub error_after_fix_px: Option<f64>,
     /// What is wrong; empty if it fits.
     pub findings: Vec<Finding>,
+    /// What is wrong with its capture times, if that is its fault.
+    #[serde(skip)]
+    pub(crate) times: Option<WrongTimes>,
 }
 
 impl Check {
@@ -155,7 +164,7 @@ impl Check {
     /// Whether it names a fault that only somebody who moves shows.
     fn tells_of_motion(&self) -> bool {
         let mut findings = self.cameras.iter().flat_map(|camera| &camera.findings);
-        findings.any(|finding| ["time_shift", "shuffled"].contains(&finding.cause))
+        findings.any(|finding| MOTION.contains(&finding.cause))
     }
 
     /// Combines the checks by two performers. A camera that fits in one of them is right.
@@ -238,9 +247,10 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             error_px: None,
             error_after_fix_px: None,
             findings: order::findings(frames, alone, &rig.cameras, camera),
+            times: None,
         })
         .collect();
-    let Some(judged) = judge(&scene, &rig.cameras) else {
+    let Some(mut judged) = judge(&scene, &rig.cameras) else {
         let finding = Finding::new(
             "no_agreement",
             "no two cameras agree on a person, whatever is tried",
@@ -250,6 +260,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
         let (performer_height_m, performer_up, strangeness) = (None, None, None);
         return Check { performer_height_m, performer_up, cameras, findings, strangeness };
     };
+    let times = change::find(&scene, &mut judged, &rig.cameras);
     let Judged { scene: fixed, consensus, findings, general } = &judged;
     for (camera, row) in cameras.iter_mut().enumerate() {
         let points = fixed.points(consensus, Some(camera));
@@ -263,8 +274,10 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
         // A camera whose frames are wrong by themselves disagrees because of that.
         if let Some(finding) = findings[camera].as_ref().filter(|_| row.findings.is_empty()) {
             row.findings.push(finding.clone());
-            row.error_after_fix_px =
-                fit(fixed).map(|fit| fit.px).filter(|_| finding.cause != "disagrees");
+            row.times = times[camera];
+            let fixed_px = fit(fixed).map(|fit| fit.px);
+            // A fault of a part of the recording is not undone.
+            row.error_after_fix_px = fixed_px.filter(|px| Some(*px) < row.error_px);
         }
     }
     let points = fixed.points(consensus, None);

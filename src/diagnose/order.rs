@@ -4,6 +4,7 @@
 use super::footage::{APART, Footage, Track, overlap};
 use super::hypotheses::Finding;
 use crate::core::camera::Camera;
+use crate::core::detections::Keypoint as K;
 use crate::core::points::median;
 
 /// A share of frames that equal the one before. Detections of moving images always differ.
@@ -12,6 +13,10 @@ const REPEATED: f64 = 0.3;
 const MOVES: f64 = 0.03;
 /// In shuffled frames, one step is as long as many.
 const ALIKE: f64 = 0.75;
+/// In shuffled frames, the steps of neighbouring points have at least this correlation.
+const TOGETHER: f64 = 0.4;
+const NEIGHBOURS: [[K; 2]; 4] =
+    [[K::LElbow, K::LWrist], [K::RElbow, K::RWrist], [K::LKnee, K::LAnkle], [K::RKnee, K::RAnkle]];
 /// Fewer frames say nothing.
 const LEAST_FRAMES: usize = 20;
 
@@ -78,6 +83,25 @@ fn repeated(track: &Track) -> Option<Finding> {
     })
 }
 
+/// Correlation of the steps of neighbouring points. It is 0 for points that jump about by themselves, and then one step
+/// is as long as many, too.
+fn correlation(track: &Track) -> f64 {
+    let (mut both, mut squares) = (0.0, [0.0; 2]);
+    for pair in track.frames.windows(2) {
+        let ([before], [after]) = (&pair[0].people[..], &pair[1].people[..]) else { continue };
+        for neighbours in NEIGHBOURS {
+            let step = |point| {
+                let index = pair[0].format.index_of(point)?;
+                Some(after.at(index)? - before.at(index)?)
+            };
+            let [Some(a), Some(b)] = neighbours.map(step) else { continue };
+            both += a.dot(&b);
+            squares = [squares[0] + a.norm_squared(), squares[1] + b.norm_squared()];
+        }
+    }
+    both / (squares[0] * squares[1]).sqrt().max(f64::MIN_POSITIVE)
+}
+
 /// Whether one step is as long as many, although the performer moves.
 fn shuffled(track: &Track) -> bool {
     let step = |apart: usize| {
@@ -92,6 +116,7 @@ fn shuffled(track: &Track) -> bool {
         moved.get(3 * moved.len() / 4).copied().filter(|_| moved.len() >= LEAST_FRAMES)
     };
     step(1).zip(step(APART)).is_some_and(|(one, many)| many > MOVES && one > ALIKE * many)
+        && correlation(track) > TOGETHER
 }
 
 fn percent(track: &Track) -> Option<Finding> {

@@ -4,6 +4,7 @@
 use nalgebra::{Matrix2, Vector2};
 
 use super::footage::{Frame, POINTS, Track};
+use super::times::Clock;
 use crate::core::camera::Camera;
 use crate::core::detections::{Keypoint, KeypointFormat};
 use crate::core::points::extent;
@@ -28,8 +29,7 @@ pub(super) struct Reading {
     /// The calibrated pixel is `turn` times the detected one, plus `shift`.
     pub(super) turn: Matrix2<f64>,
     pub(super) shift: Vector2<f64>,
-    /// Its capture times are too late by this.
-    pub(super) late: Nanos,
+    pub(super) clock: Clock,
 }
 
 impl Reading {
@@ -40,13 +40,13 @@ impl Reading {
             format: None,
             turn: Matrix2::identity(),
             shift: Vector2::zeros(),
-            late: Nanos::ZERO,
+            clock: Clock::default(),
         }
     }
 
     /// The people seen at a time of the rig. Empty without a frame within three quarters of a period.
     pub(super) fn views(&self, track: &Track, period: Nanos, time: Timestamp) -> Vec<View> {
-        let capture = time - self.camera.time_offset + self.late;
+        let capture = self.clock.of(time - self.camera.time_offset);
         let reach = Nanos::rounded(0.75 * period.ns() as f64);
         track.nearest(capture, reach).map_or_else(Vec::new, |frame| self.people(frame))
     }

@@ -11,7 +11,7 @@ use super::driver::{Driver, State, Step};
 use super::options::{Observer, Options};
 use super::recording::{Item, Recording};
 use crate::core::body::{Skeleton, TrackingState};
-use crate::core::calibration::{self, Correction, OffsetVerdict, TimeOffset, Tracks};
+use crate::core::calibration::{self, Correction, OFFSET_REACH, OffsetVerdict, TimeOffset, Tracks};
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost;
 use crate::core::detections::Detections;
@@ -19,6 +19,9 @@ use crate::core::stage::Stage;
 use crate::core::time::Nanos;
 use crate::core::tracker::{self, BodyEstimator, Effort, EventKind, FramePeriod, Output, Tracker};
 use crate::diagnose::Evidence;
+
+/// Wrong times are corrected so often.
+const CORRECTIONS: usize = 2;
 
 /// Most frames that wait for their poses.
 const WAITING: usize = 8192;
@@ -109,6 +112,8 @@ pub(super) struct FirstPass {
     pub(super) evidence: Evidence,
     /// Of all cameras; empty if they were not estimated.
     pub(super) offsets: Vec<CameraOffset>,
+    /// What was wrong with the times of cameras and is corrected, besides offsets.
+    pub(super) notes: Vec<String>,
     /// Whether the known body did not fit and was estimated anew.
     pub(super) is_body_wrong: bool,
 }
@@ -154,28 +159,37 @@ impl FirstPass {
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
         let mut body = options.body.as_ref();
-        let mut once = |body, rig: &Rig, held_out: &[Camera]| {
+        let mut once = |recording: &mut Recording, body, rig: &Rig, held_out: &[Camera]| {
             let driver = driver(options, body, recording.frames(), rig, period)?;
             let mut pass = Self::new(options, rig, period, held_out);
             pass.stream(driver, recording, rig, held_out, observer)?;
             Ok::<_, Error>(pass)
         };
-        let mut pass = once(body, rig, held_out)?;
+        let mut pass = once(recording, body, rig, held_out)?;
         let mut is_body_wrong = pass.is_body_wrong;
         if is_body_wrong && body.is_some() {
             // An estimate from the whole recording is better than one from the rest of it.
             body = None;
-            pass = once(body, rig, held_out)?;
+            pass = once(recording, body, rig, held_out)?;
         }
         if options.no_sync {
             return Ok(Self { is_body_wrong, ..pass });
         }
-        let offsets = pass.apply_time_offsets(rig, held_out);
-        if offsets.iter().take(rig.cameras.len()).any(|offset| offset.applied) {
-            pass = once(body, rig, held_out)?;
+        // Large faults first, by what the cameras saw. One may hide another.
+        let (mut late, mut notes) = (vec![Nanos::ZERO; pass.cameras.len()], Vec::new());
+        for _ in 0..CORRECTIONS {
+            if !pass.correct_times(recording, rig, held_out, (&mut late, &mut notes)) {
+                break;
+            }
+            pass = once(recording, body, rig, held_out)?;
             is_body_wrong |= pass.is_body_wrong;
         }
-        Ok(Self { offsets, is_body_wrong, ..pass })
+        let offsets = pass.apply_time_offsets(rig, held_out, &late);
+        if offsets.iter().take(rig.cameras.len()).any(|offset| offset.applied) {
+            pass = once(recording, body, rig, held_out)?;
+            is_body_wrong |= pass.is_body_wrong;
+        }
+        Ok(Self { offsets, is_body_wrong, notes, ..pass })
     }
 
     fn new(options: &Options, rig: &Rig, period: Option<FramePeriod>, held_out: &[Camera]) -> Self {
@@ -190,6 +204,7 @@ impl FirstPass {
             waiting: VecDeque::new(),
             passed: 0,
             offsets: Vec::new(),
+            notes: Vec::new(),
             is_body_wrong: false,
         }
     }
@@ -293,9 +308,52 @@ impl FirstPass {
         longest.map_or_else(none, |(performer, one)| (performer, one.tracks.clone()))
     }
 
+    /// Corrects the wrong times that the [check](crate::diagnose::Check) finds, and says whether there were any. Adds by
+    /// how much the times of each camera were late, and notes on what else was wrong.
+    fn correct_times(
+        &self,
+        recording: &mut Recording,
+        rig: &mut Rig,
+        held_out: &mut [Camera],
+        (late, notes): (&mut [Nanos], &mut Vec<String>),
+    ) -> bool {
+        let all = Rig { cameras: self.cameras.clone(), ..rig.clone() };
+        let check = self.evidence.clone().check(&all);
+        let period = self.periods.first().copied().unwrap_or_default();
+        let nearest = Nanos::rounded(period * OFFSET_REACH as f64);
+        let mut is_corrected = false;
+        for ((row, late), camera) in
+            check.cameras.iter().zip(late).zip(rig.cameras.iter_mut().chain(held_out))
+        {
+            let Some(wrong) = row.times else { continue };
+            match wrong.late() {
+                // The performer's motion tells small ones more exactly, see below.
+                Some(by) if by.abs() <= nearest => {}
+                Some(by) => {
+                    *late = *late + by;
+                    camera.time_offset = camera.time_offset - by;
+                    is_corrected = true;
+                }
+                None => {
+                    recording.correct(&row.camera, wrong);
+                    let what = row.findings.iter().map(|finding| &*finding.what);
+                    let what: String = what.collect::<Vec<_>>().join("; ");
+                    notes.push(format!("camera {}: {what}; its times are corrected", row.camera));
+                    is_corrected = true;
+                }
+            }
+        }
+        is_corrected
+    }
+
     /// Estimates the time offsets, and adds the significant ones to the cameras: those of the rig
-    /// from their own views, then those of held-out cameras relative to them.
-    fn apply_time_offsets(&self, rig: &mut Rig, held_out: &mut [Camera]) -> Vec<CameraOffset> {
+    /// from their own views, then those of held-out cameras relative to them. `late` is what was corrected before.
+    fn apply_time_offsets(
+        &self,
+        rig: &mut Rig,
+        held_out: &mut [Camera],
+        late: &[Nanos],
+    ) -> Vec<CameraOffset> {
         let (performer, tracks) = self.tracks();
         let Some(period) = self.periods.get(performer) else { return Vec::new() };
         let period = Nanos::rounded(*period);
@@ -311,8 +369,12 @@ impl FirstPass {
         for (camera, found) in rig.cameras.iter_mut().chain(held_out).zip(&found) {
             camera.time_offset = camera.time_offset + found.applied();
         }
-        let all = self.cameras.iter().zip(&found);
-        all.map(|(camera, found)| CameraOffset::new(camera, found, period)).collect()
+        let all = self.cameras.iter().zip(&found).zip(late);
+        let all = all.map(|((camera, found), late)| {
+            let found = if *late == Nanos::ZERO { *found } else { found.after(-*late) };
+            CameraOffset::new(camera, &found, period)
+        });
+        all.collect()
     }
 }
 
@@ -340,12 +402,14 @@ impl fmt::Display for CameraOffset {
 /// The cameras of a recording checked against the performer's motion.
 #[derive(Clone, Debug)]
 pub struct CheckedCameras {
-    /// The cameras with the significant offsets and corrections.
+    /// All cameras, with the significant offsets and corrections.
     pub rig: Rig,
     /// Their time offsets; none with [`Options::no_sync`].
     pub offsets: Vec<CameraOffset>,
     /// Their corrections, if asked for.
     pub corrections: Vec<CameraCorrection>,
+    /// What else was wrong with their times.
+    pub notes: Vec<String>,
 }
 
 /// Estimates the time offsets of a recording's cameras and, if wanted, corrects the cameras after
@@ -374,7 +438,8 @@ pub fn check_cameras(
         };
         corrections = all.map(named).collect();
     }
-    Ok(CheckedCameras { rig, offsets: pass.offsets, corrections })
+    let rig = recording.rig_with(rig.cameras.iter());
+    Ok(CheckedCameras { rig, offsets: pass.offsets, corrections, notes: pass.notes })
 }
 
 #[cfg(test)]

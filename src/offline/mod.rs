@@ -25,6 +25,7 @@ mod driver;
 mod error;
 mod first_pass;
 mod hold_out;
+mod in_order;
 mod motion;
 mod options;
 pub(crate) mod output;

@@ -8,11 +8,13 @@ use std::sync::Arc;
 use prost::Name;
 
 use super::Error;
+use super::in_order::InOrder;
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{FramePeriod, FrameRate, RATE_FRAMES, UnitCheck};
+use crate::diagnose::WrongTimes;
 use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
 use crate::io::wire::{self, Topic};
 
@@ -31,6 +33,8 @@ pub struct Recording {
     seen: BTreeMap<String, CameraInfo>,
     /// First and last capture time that is used, if not all are.
     span: Option<[Timestamp; 2]>,
+    /// What is wrong with the capture times of cameras, by name; it is corrected.
+    wrong_times: BTreeMap<String, Vec<WrongTimes>>,
 }
 
 /// A message of a recording.
@@ -44,6 +48,17 @@ pub(crate) enum Item {
     TrueBody(String, Box<Skeleton>),
     /// An actor's true pose.
     TruePose(String, Box<StampedPose>),
+}
+
+impl Item {
+    /// Of a frame: the number of its camera, where held-out cameras follow the `solved` ones, and the capture time.
+    fn of_camera(&self, solved: usize) -> Option<(usize, Timestamp)> {
+        match self {
+            Self::Detections(frame, _) => Some((frame.camera, frame.capture)),
+            Self::HeldOut(frame, _) => Some((solved + frame.camera, frame.capture)),
+            Self::TrueBody(..) | Self::TruePose(..) => None,
+        }
+    }
 }
 
 impl Recording {
@@ -70,7 +85,9 @@ impl Recording {
         let is_silent = |name: &String| info.report.is_clean() && !info.cameras.contains_key(name);
         let silent = names.filter(is_silent).collect();
         let seen = info.cameras;
-        let recording = Self { reader, rig, messages, frames, format, silent, seen, span: None };
+        let (span, wrong_times) = (None, BTreeMap::new());
+        let recording =
+            Self { reader, rig, messages, frames, format, silent, seen, span, wrong_times };
         recording.check_cameras()?;
         Ok(recording)
     }
@@ -152,10 +169,10 @@ impl Recording {
         })
     }
 
-    /// The rig of the cameras in `only` (all if empty), without the held-out ones.
+    /// The rig of the cameras in `only` (if empty, all with keypoints), without the held-out ones.
     ///
     /// # Errors
-    /// An unknown camera, one without keypoints, or fewer than two cameras.
+    /// An unknown camera, one in `only` without keypoints, or fewer than two cameras.
     pub fn chosen(&self, only: &[String], held_out: &[Camera]) -> Result<Rig, Error> {
         let path = || self.path().to_owned();
         let mut wanted = Vec::new();
@@ -163,15 +180,47 @@ impl Recording {
             wanted.push(self.camera(name)?.name.as_str());
         }
         let chosen = self.rig.cameras.iter().filter(|camera| {
-            (wanted.is_empty() || wanted.contains(&camera.name.as_str()))
-                && held_out.iter().all(|held_out| held_out.name != camera.name)
+            let is_wanted = match wanted.is_empty() {
+                true => !self.silent.contains(&camera.name),
+                false => wanted.contains(&camera.name.as_str()),
+            };
+            is_wanted && held_out.iter().all(|held_out| held_out.name != camera.name)
         });
-        let rig = Rig::new(self.rig.version, chosen.cloned().collect())
-            .map_err(|source| Error::Rig { path: path(), source })?;
-        match self.silent.iter().find(|name| rig.index_of(name).is_some()) {
+        let rig =
+            Rig::new(self.rig.version, chosen.cloned().collect()).map_err(|source| {
+                match self.silent.first().filter(|_| only.is_empty()) {
+                    Some(camera) => Error::SilentCamera { path: path(), camera: camera.clone() },
+                    None => Error::Rig { path: path(), source },
+                }
+            })?;
+        let is_held_out = |name: &String| held_out.iter().any(|camera| camera.name == *name);
+        let is_used = |name: &&String| rig.index_of(name).is_some() || is_held_out(name);
+        match self.silent.iter().find(is_used) {
             None => Ok(rig),
             Some(camera) => Err(Error::SilentCamera { path: path(), camera: camera.clone() }),
         }
+    }
+
+    /// The rig of all cameras, with `cameras` in place of those of the same names.
+    pub(crate) fn rig_with<'a>(&self, cameras: impl Iterator<Item = &'a Camera>) -> Rig {
+        let mut rig = Rig::clone(&self.rig);
+        for camera in cameras {
+            let own = rig.cameras.iter_mut().filter(|own| own.name == camera.name);
+            own.for_each(|own| own.clone_from(camera));
+        }
+        rig
+    }
+
+    /// Corrects the capture times of a camera from the next pass on.
+    pub(crate) fn correct(&mut self, camera: &str, wrong: WrongTimes) {
+        self.wrong_times.entry(camera.to_owned()).or_default().push(wrong);
+    }
+
+    /// A note that names the cameras without keypoints, if there are any.
+    pub fn silent_note(&self) -> Option<String> {
+        let silent = self.silent.join(", ");
+        let note = || format!("camera {silent} has no keypoints; the others are used");
+        (!silent.is_empty()).then(note)
     }
 
     /// Measures the frame rate of the cameras of `rig` on their first frames.
@@ -202,7 +251,8 @@ impl Recording {
     }
 
     /// Streams the recording from its start: the detections of all cameras of `rig` and of the
-    /// held-out cameras, and the truth, if any. Returns a report of what was lost.
+    /// held-out cameras, and the truth, if any. Frames of cameras with time offsets are put in order. Returns a report
+    /// of what was lost.
     pub(crate) fn stream(
         &mut self,
         rig: &Rig,
@@ -211,6 +261,12 @@ impl Recording {
         mut take: impl FnMut(Item) -> Result<(), Error>,
     ) -> Result<Report, Error> {
         self.reader.rewind()?;
+        let offsets = rig.cameras.iter().chain(held_out).map(|camera| camera.time_offset);
+        let offsets: Vec<_> = offsets.collect();
+        // Otherwise they keep the order of the recording.
+        let sorts =
+            !self.wrong_times.is_empty() || offsets.iter().any(|offset| *offset != offsets[0]);
+        let mut in_order = InOrder::new(offsets);
         while let Some(entry) = self.reader.next() {
             let entry = entry?;
             if each_message().is_break() {
@@ -228,7 +284,11 @@ impl Recording {
                 continue;
             }
             let item = match entry.message {
-                Message::Keypoints(frame) => {
+                Message::Keypoints(mut frame) => {
+                    for wrong in self.wrong_times.get(&frame.camera).into_iter().flatten() {
+                        let capture = Timestamp::from_ns(frame.capture_time_ns);
+                        frame.capture_time_ns = wrong.corrected(capture).ns();
+                    }
                     let mut names = held_out.iter().map(|camera| &camera.name);
                     let percent = in_percent(&frame);
                     if let Some(camera) = rig.index_of(&frame.camera) {
@@ -252,9 +312,18 @@ impl Recording {
                 _ => continue,
             };
             match item {
-                Ok(item) => take(item)?,
+                Ok(item) => match item.of_camera(rig.cameras.len()).filter(|_| sorts) {
+                    Some((camera, capture)) => in_order.add(camera, capture, item),
+                    None => take(item)?,
+                },
                 Err(error) => self.reader.reject(&entry.topic, &error),
             }
+            while let Some(item) = in_order.next(false) {
+                take(item)?;
+            }
+        }
+        while let Some(item) = in_order.next(true) {
+            take(item)?;
         }
         Ok(self.reader.report().clone())
     }

@@ -57,7 +57,7 @@ pub fn solve_group(
     let folder = options.out.as_deref().map(|path| output_folder(path, options));
     let folder = folder.transpose()?;
     let begin = Instant::now();
-    let Prepared { rig, period, held_out, bodies, count, offsets, is_body_wrong, evidence } =
+    let Prepared { rig, period, held_out, bodies, count, offsets, notes, is_body_wrong, evidence } =
         prepare(recording, options, observer)?;
     let names = names(options, count);
     let judged =
@@ -66,7 +66,7 @@ pub fn solve_group(
     let mut check = evidence
         .map(|evidence| evidence.check(&judged))
         .ok_or_else(|| Evidence::new(Arc::new(judged.clone()), options.config, period));
-    let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
+    let all = Arc::new(recording.rig_with(rig.cameras.iter().chain(&held_out)));
     let outputs = folder.map(|folder| {
         Outputs::create(folder, &all, options, (&rig, check.as_ref().ok()), &decoder, &names)
     });
@@ -129,11 +129,13 @@ pub fn solve_group(
         scores: tracking.and_then(Tracking::finish),
         known: driver.known(),
     };
+    let silent = recording.silent_note().filter(|_| options.cameras.is_empty());
     let mut pages = Vec::new();
     for ((one, skeleton), poses) in solved.zip(summaries) {
         let states = poses.states.csv();
         let (one, summary) = one.summarise(recording, &rig, skeleton, poses, &report, seconds);
         let mut summary = Summary { time_offsets: offsets.clone(), ..summary };
+        summary.notes.extend(silent.iter().chain(&notes).cloned());
         summary.notes.extend(check.warnings());
         if !options.references.is_empty() {
             summary.notes.extend(Reference::note(summary.reference.as_ref(), false));
@@ -192,6 +194,8 @@ struct Prepared {
     /// Number of performers, or the most.
     count: usize,
     offsets: Vec<CameraOffset>,
+    /// What else was wrong with the cameras' times.
+    notes: Vec<String>,
     is_body_wrong: bool,
     /// What the cameras saw.
     evidence: Option<Evidence>,
@@ -209,25 +213,16 @@ fn prepare(
     let period = recording.frame_period(&rig)?;
     let (mut bodies, mut offsets, mut is_body_wrong) =
         (vec![options.body.clone()], Vec::new(), false);
+    let mut notes = Vec::new();
     let (mut count, mut evidence) = (options.performers.limit() + options.known.len(), None);
     if options.passes() > 1 {
         let first = FirstPass::run(recording, options, &mut rig, period, &mut held_out, observer)?;
         is_body_wrong = first.is_body_wrong && options.body.is_some();
-        bodies = first.bodies;
+        (bodies, notes) = (first.bodies, first.notes);
         (count, offsets, evidence) = (bodies.len(), first.offsets, Some(first.evidence));
     }
     let rig = Arc::new(rig);
-    Ok(Prepared { rig, period, held_out, bodies, count, offsets, is_body_wrong, evidence })
-}
-
-/// The rig with the cameras of a solve in place of its own.
-fn with_solved(rig: &Rig, solved: &[Camera], held_out: &[Camera]) -> Rig {
-    let mut rig = rig.clone();
-    for solved in solved.iter().chain(held_out) {
-        let own = rig.cameras.iter_mut().filter(|camera| camera.name == solved.name);
-        own.for_each(|camera| camera.clone_from(solved));
-    }
-    rig
+    Ok(Prepared { rig, period, held_out, bodies, count, offsets, notes, is_body_wrong, evidence })
 }
 
 struct Outputs {

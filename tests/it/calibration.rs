@@ -38,11 +38,22 @@ impl Take {
 /// A take whose cameras stamp their frames late by `late` frames. `written` changes the calibration
 /// in the recording.
 fn take(late: &[f64], noise: Noise, moves: bool, written: impl Fn(&mut Rig)) -> Take {
+    stamped(late.len(), noise, moves, written, |camera, frame| Some(frame + late[camera]))
+}
+
+/// A take with wrong times: `time(camera, frame)` in frames; `None`: the frame is lost.
+fn stamped(
+    cameras: usize,
+    noise: Noise,
+    moves: bool,
+    written: impl Fn(&mut Rig),
+    time: impl Fn(usize, f64) -> Option<f64>,
+) -> Take {
     let folder = tempfile::tempdir().unwrap();
     let skeleton = Skeleton::default();
     let motion = Motion::new(&skeleton, MotionStyle::default());
     let pose = |seconds: f64| -> Pose { motion.pose(if moves { seconds } else { 0.0 }) };
-    let rig = ring_rig(late.len(), 4.0, 1.6).unwrap();
+    let rig = ring_rig(cameras, 4.0, 1.6).unwrap();
     let mut recording = Recording::new(rig.clone(), skeleton, pose);
     (recording.frames, recording.noise) = (480, noise);
     let mut in_file = rig.clone();
@@ -53,8 +64,8 @@ fn take(late: &[f64], noise: Noise, moves: bool, written: impl Fn(&mut Rig)) -> 
     writer.rig(&in_file, recording.start).unwrap();
     for mut frame in recording.detections() {
         let camera = &rig.cameras[frame.camera];
-        let late = Nanos::rounded((late[frame.camera] + 10.0) * 1e9 / FPS);
-        frame.capture = frame.capture + late;
+        let Some(time) = time(frame.camera, frame.frame as f64) else { continue };
+        frame.capture = Timestamp::default() + Nanos::rounded((time + 10.0) * 1e9 / FPS);
         writer.keypoints(&frame, &camera.name, [camera.width, camera.height]).unwrap();
     }
     writer.finish().unwrap();
@@ -89,6 +100,42 @@ fn shifted_clocks_are_found_to_a_tenth_of_a_frame() {
             let off = found.offset_frames.unwrap() + late;
             assert!(off.abs() < 0.1 || !found.applied, "{late}: {found}");
         }
+    }
+}
+
+/// Cameras that were started at another time, have another frame rate, drift, or lose frames.
+#[test]
+fn large_faults_of_clocks_are_corrected() {
+    type Time = fn(f64) -> Option<f64>;
+    let cases: [(&str, Time); 5] = [
+        ("", |frame| Some(frame + 70.0)),
+        ("", |frame| Some(frame - 0.5 - 9.0)),
+        ("0.5000 times as fast", |frame| (frame % 2.0 == 0.0).then_some(0.5 * frame)),
+        ("1.03", |frame| Some(1.03 * frame)),
+        ("12 frames were lost", |frame| match frame {
+            ..240.0 => Some(frame),
+            240.0..252.0 => None,
+            _ => Some(frame - 12.0),
+        }),
+    ];
+    let solved = |time: Time| {
+        let time = |camera, frame| if camera == 1 { time(frame) } else { Some(frame) };
+        let take = stamped(4, Noise::clean(), true, as_it_is, time);
+        solve(&mut take.recording(), &Options::default(), &mut ()).unwrap()
+    };
+    let right = solved(Some);
+    for (note, time) in cases {
+        let wrong = solved(time);
+        let px = |summary: &offline::Summary| summary.reprojection.cameras["cam02"].unwrap();
+        println!("{note}: {:?} px, {:?} {:?}", px(&wrong), wrong.time_offsets[1], wrong.notes);
+        assert!(px(&wrong) < 1.15 * px(&right), "{note}: {:?} {:?}", px(&wrong), px(&right));
+        assert!(wrong.time_offsets[1].applied || !note.is_empty(), "{:?}", wrong.notes);
+        assert!(
+            note.is_empty() || wrong.notes.iter().any(|n| n.contains(note)),
+            "{:?}",
+            wrong.notes
+        );
+        assert!(wrong.check.unwrap().is_clean(), "{:?}", wrong.notes);
     }
 }
 

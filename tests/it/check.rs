@@ -214,7 +214,7 @@ fn shuffle(take: &mut Take, camera: usize) {
 }
 
 /// The faults of the issue, then ten more.
-const FAULTS: [Fault; 36] = [
+const FAULTS: [Fault; 42] = [
     one("image mirrored", &["image_mirrored"], |take, c| {
         let [w, _] = size(take, c);
         take.pixels(c, |[x, y]| [w - 1.0 - x, y]);
@@ -321,6 +321,28 @@ const FAULTS: [Fault; 36] = [
     one("clock of another epoch", &["clock"], |take, c| {
         take.of(c).for_each(|frame| frame.capture = frame.capture + Nanos::from_ms(37_000));
     }),
+    one("100 frames late", &["time_shift"], |take, c| late(take, c, 100)),
+    one("20 frames lost", &["frames_lost"], |take, c| {
+        restamp(take, c, |i, all| match i {
+            _ if i < all / 3 => Some(i as f64),
+            _ if i < all / 3 + 20 => None,
+            _ => Some(i as f64 - 20.0),
+        });
+    }),
+    one("half of the frame rate", &["frame_rate"], |take, c| {
+        restamp(take, c, |i, _| (i % 2 == 0).then_some(0.5 * i as f64));
+    }),
+    one("a clock 4 % too fast", &["frame_rate"], |take, c| {
+        restamp(take, c, |i, _| Some(1.04 * i as f64));
+    }),
+    one("turned by 3 degrees in the middle", &["turned"], |take, c| {
+        // Its detections, and not the calibration: a camera that turns moves its image.
+        let shift = 0.0524 * take.rig.cameras[c].focal.x;
+        second_half(take, c, |[x, y]| [x + shift, y]);
+    }),
+    one("half of the image size from the middle on", &["image_scaled"], |take, c| {
+        second_half(take, c, |[x, y]| [0.5 * x, 0.5 * y]);
+    }),
     all("left and right exchanged in all", &["sides_exchanged"], |take, _| {
         take.each(Take::exchange_sides);
     }),
@@ -329,10 +351,42 @@ const FAULTS: [Fault; 36] = [
     }),
 ];
 
-fn late(take: &mut Take, camera: usize, frames: i64) {
+fn period(take: &mut Take, camera: usize) -> Nanos {
     let mut captures: Vec<_> = take.of(camera).map(|frame| frame.capture).collect();
     captures.sort();
-    let period = captures[1] - captures[0];
+    captures[1] - captures[0]
+}
+
+/// Gives the frames of a camera other times. `time(frame, frames)`: in frame periods; `None`: the frame is lost.
+fn restamp(take: &mut Take, camera: usize, time: impl Fn(usize, usize) -> Option<f64>) {
+    let (period, all) = (period(take, camera), take.of(camera).count());
+    let start = take.of(camera).map(|frame| frame.capture).min().unwrap();
+    let mut frames = take.frames.drain(..).collect::<Vec<_>>();
+    frames.retain_mut(|frame| {
+        let at = ((frame.capture - start).ns() as f64 / period.ns() as f64).round() as usize;
+        let time = if frame.camera == camera { time(at, all) } else { return true };
+        let ns = time.map(|time| Nanos::rounded(time * period.ns() as f64));
+        ns.is_some_and(|ns| {
+            frame.capture = start + ns;
+            true
+        })
+    });
+    take.frames = frames;
+}
+
+/// Changes the pixels of a camera from the middle of the take on.
+fn second_half(take: &mut Take, camera: usize, map: impl Fn([f64; 2]) -> [f64; 2]) {
+    let half = take.of(camera).count() / 2;
+    let mut other = take.clone();
+    other.pixels(camera, map);
+    let changed: Vec<_> = other.of(camera).map(|frame| frame.people.clone()).collect();
+    for (frame, people) in take.of(camera).zip(changed).skip(half) {
+        frame.people = people;
+    }
+}
+
+fn late(take: &mut Take, camera: usize, frames: i64) {
+    let period = period(take, camera);
     take.of(camera).for_each(|frame| frame.capture = frame.capture + period * frames);
 }
 
@@ -386,8 +440,10 @@ impl Fault {
                 let of_it = [name, "exchanged", "of each camera", "calibrate again"]
                     .iter()
                     .any(|s| text.contains(*s));
+                // A clock is late or early beside the other one.
+                let is_its = |c: usize, cause: &str| c == camera || cause == "time_shift";
                 (is_named && of_it)
-                    || causes.iter().any(|(c, cause)| *c == camera && is_cause(cause))
+                    || causes.iter().any(|(c, cause)| is_its(*c, cause) && is_cause(cause))
             }
             true => {
                 causes.iter().any(|(c, cause)| *c == camera && is_cause(cause))

@@ -1241,8 +1241,22 @@ fn cameras_that_do_not_fit_the_rig_are_refused() {
     let place = Place::new();
     walk(&place.path("silent.mcap"), 20, |detections| detections.camera != 2);
     let evidence = ["silent.mcap", "cam03 has no keypoints", "--cameras"];
-    place.fails(CAMERA_MISMATCH, "solve silent.mcap --out out", &evidence);
-    place.done("solve silent.mcap --out three --cameras cam1,cam2,cam4");
+    place.fails(CAMERA_MISMATCH, "solve silent.mcap --out out --cameras cam1,cam3", &evidence);
+    place.fails(CAMERA_MISMATCH, "solve silent.mcap --out out --hold-out cam3", &evidence);
+    let solve = |command: &str| {
+        let output = place.run(command);
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let notes = solve("solve silent.mcap --out all");
+    assert!(notes.contains("note: camera cam03 has no keypoints; the others are used"), "{notes}");
+    let notes = solve("solve silent.mcap --out three --cameras cam1,cam2,cam4");
+    assert!(!notes.contains("cam03"), "{notes}");
+    let motion = |folder: &str| std::fs::read(place.path(folder).join("poses.bvh")).unwrap();
+    assert!(motion("all") == motion("three"));
+    place.done("calibrate silent.mcap --out silent.toml --time-only");
+    let written = std::fs::read_to_string(place.path("silent.toml")).unwrap();
+    assert!(written.contains("cam03"), "{written}");
 
     let rig = ring_rig(4, 4.0, 1.6).unwrap();
     let write = |name: &str, camera: &str, image_width: u32| {

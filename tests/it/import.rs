@@ -297,6 +297,17 @@ fn uneven_folders_merge_by_capture_time_and_faults_are_counted() {
     assert_eq!((clamped.pixel.x, clamped.confidence), (1.0, 1.0));
     assert_eq!(all[2].people.len(), 1);
     assert!(all[3].people.iter().all(|p| p.points[0].is_none() && p.points[1].is_some()));
+    let rates = |camera: &str| DetectionOptions {
+        fps: 50.0,
+        rates: vec![(camera.to_owned(), 10.0)],
+        ..DetectionOptions::default()
+    };
+    let slow = DetectionFolder::open(root.path(), &rig, rates("Cam_02")).unwrap();
+    let times: Vec<_> = slow.map(Result::unwrap).map(|d| (d.camera, d.capture.ns())).collect();
+    assert_eq!(times.last(), Some(&(1, 300_000_000)), "{times:?}");
+    assert!(times.is_sorted_by_key(|(_, capture)| *capture), "{times:?}");
+    let unknown = DetectionFolder::open(root.path(), &rig, rates("phone")).err().unwrap();
+    assert!(unknown.to_string().contains("there is no phone; there are Cam_01"), "{unknown}");
     let [first, second] = stream.reports() else { panic!("two cameras") };
     assert_eq!((first.frames, first.first_frame, first.last_frame, first.gaps), (3, 5, 10, 3));
     assert_eq!((first.people, first.people_without_points), (3, 1));

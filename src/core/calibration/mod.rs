@@ -20,6 +20,7 @@ pub use live_offsets::LiveOffsets;
 #[doc(hidden)]
 pub use mend::{Seen, mend};
 pub use normal::OffsetVerdict;
+pub(crate) use normal::REACH as OFFSET_REACH;
 pub use refine::{Correction, refine};
 pub use time_offsets::{TimeOffset, time_offsets};
 #[doc(hidden)]

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use super::tracks::LIMBS;
 
 /// Largest offset that is found, in steps.
-pub(super) const REACH: i64 = 6;
+pub(crate) const REACH: i64 = 6;
 /// Most Newton steps, and when they end, in steps of time.
 const NEWTON: usize = 12;
 const CONVERGED: f64 = 2e-3;

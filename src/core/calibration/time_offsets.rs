@@ -43,6 +43,12 @@ impl TimeOffset {
         Self { offset, error: time(error.min(REACH as f64)), verdict }
     }
 
+    /// The same after a significant offset that was applied before.
+    #[must_use]
+    pub(crate) fn after(self, before: Nanos) -> Self {
+        Self { offset: Some(before + self.applied()), verdict: OffsetVerdict::Shifted, ..self }
+    }
+
     /// The offset to use: none unless it is significant.
     pub fn applied(&self) -> Nanos {
         let shifted = self.offset.filter(|_| self.verdict == OffsetVerdict::Shifted);

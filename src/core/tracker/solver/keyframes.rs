@@ -17,6 +17,9 @@ const FAR: f64 = 0.3;
 /// Then its keyframes are solved roughly, one after the other, with a wide loss.
 const ONE_BY_ONE: Steps = Steps { iterations: 1, scale_factor: 3.0, may_catch_up: false };
 
+/// A window has iterations with a wide loss at most so often.
+const CATCH_UPS: usize = 2;
+
 /// Smallest scale of a loss that follows the detections, pixels: below it are the errors of our model.
 const LEAST_SCALE_PX: f64 = 6.0;
 
@@ -76,12 +79,14 @@ impl Solver {
             return self.keyframes(job, points, known, times, observations, steps);
         }
         let catch_up = self.config.catch_up_iterations.min(steps.iterations);
-        if steps.may_catch_up
+        let may_catch_up = steps.may_catch_up
             && catch_up > 0
             && job.effort.has_time(&self.config)
-            && job.noise.is_settled()
-            && let Some(wide) = widened(&mut problem, &x, observations, &job.rig, scale_px)
-        {
+            && job.noise.is_settled();
+        for _ in 0..if may_catch_up { CATCH_UPS } else { 0 } {
+            let Some(wide) = widened(&mut problem, &x, observations, &job.rig, scale_px) else {
+                break;
+            };
             problem.replace_observations(Some(wide));
             self.optimiser.minimise(&mut problem, &mut x, catch_up);
             problem.replace_observations(None);

@@ -93,6 +93,8 @@ impl Frames {
 struct CameraFrames {
     camera: usize,
     size: [u32; 2],
+    /// Frame rate, hertz.
+    fps: f64,
     frames: Frames,
     next: usize,
 }
@@ -102,6 +104,8 @@ struct CameraFrames {
 pub struct DetectionOptions {
     /// Frame rate of the cameras, hertz.
     pub fps: f64,
+    /// Cameras with another frame rate, hertz.
+    pub rates: Vec<(String, f64)>,
     /// Order of the points; `None`: by their names or number.
     pub order: Option<PointOrder>,
     /// A mapping file in place of it; see [`PointOrder::of_file`].
@@ -121,7 +125,6 @@ pub struct DetectionFolder {
     order: PointOrder,
     others: Vec<PointOrder>,
     strict: bool,
-    fps: f64,
     cameras: Vec<CameraFrames>,
     matches: Vec<FolderMatch>,
     reports: Vec<CameraReport>,
@@ -158,9 +161,19 @@ impl DetectionFolder {
     /// Files that cannot be read or do not fit the rig; frames without numbers or with equal ones; an order
     /// of points that is not known; an invalid frame rate.
     pub fn open(folder: &Path, rig: &Rig, options: DetectionOptions) -> Result<Self, ImportError> {
-        let fps = options.fps;
-        if !(fps.is_finite() && fps > 0.0) {
+        let rates = || options.rates.iter().map(|(_, fps)| *fps).chain([options.fps]);
+        if let Some(fps) = rates().find(|fps| !(fps.is_finite() && *fps > 0.0)) {
             return Err(ImportError::FrameRate { fps });
+        }
+        if let Some((name, _)) = options.rates.iter().find(|(name, _)| rig.index_of(name).is_none())
+        {
+            let known = rig.cameras.iter().map(|camera| &*camera.name);
+            let known = known.collect::<Vec<_>>().join(", ");
+            return Err(ImportError::UnknownName {
+                path: folder.to_owned(),
+                name: name.clone(),
+                known,
+            });
         }
         let (mut sources, mut names) = sources(folder)?;
         sources.sort_by_cached_key(|source| natural_key(&file_name(&source.path)));
@@ -191,8 +204,10 @@ impl DetectionFolder {
             let Some(source) = source else { continue };
             let camera = &rig.cameras[found.camera];
             let size = [camera.width, camera.height];
+            let own = options.rates.iter().rfind(|(name, _)| *name == camera.name);
+            let fps = own.map_or(options.fps, |(_, fps)| *fps);
             let (frames, report) = source.frames(fps, size, &mut names)?;
-            cameras.push(CameraFrames { camera: found.camera, size, frames, next: 0 });
+            cameras.push(CameraFrames { camera: found.camera, size, fps, frames, next: 0 });
             reports.push(report);
         }
         let (order, others) = match (&options.mapping, options.order) {
@@ -202,7 +217,7 @@ impl DetectionFolder {
         };
         let strict = options.strict;
         let failed = false;
-        Ok(Self { order, others, strict, fps, cameras, matches, reports, notes, failed })
+        Ok(Self { order, others, strict, cameras, matches, reports, notes, failed })
     }
 
     /// Folders or files and their cameras, by the camera's index.
@@ -305,15 +320,18 @@ impl Iterator for DetectionFolder {
     fn next(&mut self) -> Option<Self::Item> {
         while !self.failed {
             let heads = self.cameras.iter().enumerate();
-            let (frame, at) =
-                heads.filter_map(|(i, c)| Some((c.frames.number(c.next)?, i))).min()?;
+            let head = |(at, camera): (usize, &CameraFrames)| {
+                let frame = camera.frames.number(camera.next)?;
+                Some((Timestamp::of_frame(frame, camera.fps), at, frame))
+            };
+            let (capture, at, frame) = heads.filter_map(head).min()?;
             match self.read(at) {
                 Ok(None) => continue,
                 Ok(Some(people)) => {
                     return Some(Ok(Detections {
                         camera: self.cameras[at].camera,
                         frame,
-                        capture: Timestamp::of_frame(frame, self.fps),
+                        capture,
                         format: self.order.format,
                         people,
                     }));
