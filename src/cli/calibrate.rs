@@ -66,6 +66,9 @@ pub(super) struct Arguments {
     json: bool,
 }
 
+/// Clocks of synchronised cameras differ by fewer frames.
+const FAR: f64 = 6.0;
+
 pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         arguments.overwrite.check(out)?;
@@ -76,10 +79,20 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let mut bar = Progress(progress(recording.messages(), "messages"));
     let found = check_cameras(&mut recording, &options, !arguments.time_only, &mut bar)?;
     bar.0.finish_and_clear();
-    recording.silent_note().iter().chain(&found.notes).for_each(|note| complain("note", note));
+    recording.silent_note().iter().for_each(|note| complain("note", note));
+    for note in &found.notes {
+        complain("note", &format!("{note}; no calibration can correct it, `solve` does"));
+    }
+    let is_far = |one: &CameraOffset| one.offset_frames.is_some_and(|frames| frames.abs() > FAR);
+    if arguments.out.is_some() && found.offsets.iter().any(is_far) {
+        complain(
+            "note",
+            "cameras that were started at different times have offsets of this take alone",
+        );
+    }
     if arguments.json {
-        let CheckedCameras { offsets, corrections, .. } = &found;
-        let all = json!({ "time_offsets": offsets, "corrections": corrections });
+        let CheckedCameras { offsets, corrections, notes, .. } = &found;
+        let all = json!({ "time_offsets": offsets, "corrections": corrections, "notes": notes });
         say(&format!("{all:#}"));
     } else {
         let offsets = found.offsets.iter().map(offset);

@@ -178,13 +178,12 @@ fn frame_rate(arguments: &Arguments, folder: &Path) -> Result<f64, Failure> {
     let mut given = None;
     for (camera, fps) in &arguments.fps {
         let fps = frame_rate_option(*fps)?;
-        match (camera, given) {
-            (Some(_), _) => {}
-            (None, None) => given = Some(fps),
-            (None, Some(_)) => {
-                let message = "--fps is given twice; for one camera, write --fps CAMERA=FPS";
-                return Err(Failure::new(Exit::Usage, message));
-            }
+        if arguments.fps.iter().filter(|(other, _)| other == camera).count() > 1 {
+            let message = "--fps is given twice; for one camera, write --fps CAMERA=FPS";
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        if camera.is_none() {
+            given = Some(fps);
         }
     }
     if let Some(fps) = given {

@@ -81,7 +81,7 @@ fn fault(
             let part = if is_first_bad { 0..at } else { at..now.len() };
             let (some, points) = (scene.part(part.clone()), &points[part]);
             let fit = some.fit(camera, &scene.readings[camera], points)?;
-            explained(&some, camera, points, Beside { fit, ..beside }, cameras)?
+            explained(&some, camera, points, (Beside { fit, ..beside }, true), cameras)?
         }
     };
     let then = scene.errors(camera, &hypothesis.reading, &points);

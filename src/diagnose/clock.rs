@@ -5,38 +5,34 @@ use super::hypotheses::{Finding, Hypothesis};
 use super::reading::Reading;
 use super::times::Clock;
 use crate::core::points::median;
-use crate::core::time::Nanos;
+use crate::core::time::{Nanos, Timestamp};
 
 /// Shifts up to this number of frames are tried one by one, larger ones every [`STRIDE`] frames first.
-const MOST_FRAMES: i64 = 30;
+const NEAR: i64 = 30;
 const STRIDE: i64 = 3;
-/// Frames by which a clock that runs too fast or too slowly is off at most.
-const MOST_DRIFT: i64 = 60;
-/// Frames by which a camera with another frame rate is shifted at most.
-const NEAR_FRAMES: i64 = 6;
-/// Usual frame rates, Hz.
-const RATES: [f64; 10] = [20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0];
-/// At least this part of the instants that have a frame must have one with another clock.
-const SEEN: f64 = 0.9;
+/// A camera with another frame rate is late by so many frames at most, at the start.
+const NEAR_AT_START: i64 = 6;
+/// Usual frame rates divided by each other: of 24, 25, 30, 50, 60, 100 and 120 Hz.
+const RATIOS: [f64; 14] =
+    [0.2, 0.25, 0.4, 5.0 / 12.0, 0.5, 0.8, 5.0 / 6.0, 0.96, 25.0 / 24.0, 1.2, 1.25, 2.0, 2.4, 4.0];
+/// A drift is between so many frames over the recording, and at most this part of it.
+const DRIFTS: std::ops::RangeInclusive<i64> = 10..=60;
+const MOST_DRIFT: f64 = 0.1;
+/// With another clock, at least this part of the instants that have a frame must have one.
+const SEEN: f64 = 0.35;
+/// Those without one must be this bad now, beside the others: another clock must not leave out the good ones.
+const AS_BAD: f64 = 0.5;
+/// Weights as in [`Hypothesis`], of near shifts and of other clocks.
+const NEAR_WEIGHT: f64 = 1.05;
+const WEIGHT: f64 = 1.3;
 
-/// Frames whose capture times are late or early by a few frames.
+/// Frames whose capture times are late or early by up to [`NEAR`] frames.
 pub(super) fn shifts(reading: &Reading, period: Nanos) -> impl Iterator<Item = Hypothesis> {
-    let frames = (-MOST_FRAMES..=MOST_FRAMES).filter(|frames| *frames != 0);
-    frames.map(move |frames| shift(reading, period, frames, 1.05))
-}
-
-fn shift(reading: &Reading, period: Nanos, frames: i64, weight: f64) -> Hypothesis {
-    let late = period * frames;
-    let word = if frames > 0 { "late" } else { "early" };
-    let (count, ms) = (frames.abs(), late.ms().abs());
-    let clock = reading.clock.later(late);
-    let offset = (reading.camera.time_offset - clock.late).ms();
-    let finding = Finding::new(
-        "time_shift",
-        format!("its capture times are {count} frames ({ms:.0} ms) {word}"),
-        format!("time_offset_ms = {offset:.1} in its calibration, or fix its clock"),
-    );
-    Hypothesis { finding, reading: Reading { clock, ..reading.clone() }, weight }
+    let frames = (-NEAR..=NEAR).filter(|frames| *frames != 0);
+    frames.map(move |frames| {
+        let clock = reading.clock.later(period * frames);
+        Hypothesis { weight: NEAR_WEIGHT, ..with_clock(reading, period, clock) }
+    })
 }
 
 /// Whether it is a fault of a clock.
@@ -46,116 +42,148 @@ pub(super) fn is_of_clock(finding: &Finding) -> bool {
 
 /// Other clocks of a camera, the best one of each kind: shifted further than in [`shifts`], or with another rate.
 pub(super) fn clocks(scene: &Scene, camera: usize, points: &[Points]) -> Vec<Hypothesis> {
-    let far = far(scene, camera, i64::MAX, beside(scene, camera, points));
-    far.into_iter().chain(rates(scene, camera, points)).collect()
+    let Some([first, last]) = scene.footage.tracks[camera].span else { return Vec::new() };
+    let reading = &scene.readings[camera];
+    let now = scene.errors(camera, reading, points);
+    let period = scene.periods[camera];
+    let search = Search { scene, camera, points, now, period, first, last };
+    let far = far(scene, camera, i64::MAX, |clock| search.error(&search.errors(clock)));
+    let kinds = [far, search.rated(), search.drifting()];
+    kinds.into_iter().flatten().map(|clock| with_clock(reading, period, clock)).collect()
 }
 
-/// Other rates of a camera's clock, the best one of each kind.
-pub(super) fn rates(scene: &Scene, camera: usize, points: &[Points]) -> Vec<Hypothesis> {
-    let kinds = [rated(scene, camera, points), drifting(scene, camera, points)];
-    kinds.into_iter().flatten().collect()
+/// The fault of a clock.
+pub(super) fn with_clock(reading: &Reading, period: Nanos, clock: Clock) -> Hypothesis {
+    let (camera, late) = (&reading.camera, clock.late - reading.clock.late);
+    let finding = match clock.rate {
+        None => {
+            let frames = late.ns() / period.ns().max(1);
+            let word = if frames > 0 { "late" } else { "early" };
+            let offset = (camera.time_offset - clock.late).ms();
+            Finding::new(
+                "time_shift",
+                format!(
+                    "its capture times are {} frames ({:.0} ms) {word}",
+                    frames.abs(),
+                    late.ms().abs()
+                ),
+                format!("time_offset_ms = {offset:.1} in its calibration, or fix its clock"),
+            )
+        }
+        Some((_, rate)) => {
+            let own = 1e9 / period.ns() as f64;
+            let (name, right) = (&camera.name, own * rate);
+            Finding::new(
+                "frame_rate",
+                format!("its capture times run {rate:.4} times as fast as those of the others"),
+                format!(
+                    "its frame rate is {right:.3}, not {own:.3} Hz (import it with --fps {name}={right:.3}), or its \
+                     clock is wrong"
+                ),
+            )
+        }
+    };
+    Hypothesis { finding, reading: Reading { clock, ..reading.clone() }, weight: WEIGHT }
 }
 
-/// The median error. `None` if too few of `all` instants have one.
-fn middle(errors: Vec<Option<f64>>, all: usize) -> Option<f64> {
-    let mut seen: Vec<f64> = errors.into_iter().flatten().collect();
-    median(&mut seen).filter(|_| seen.len() as f64 >= SEEN * all as f64)
+/// The clock with the least error.
+fn best(all: impl Iterator<Item = Clock>, error: impl Fn(Clock) -> Option<f64>) -> Option<Clock> {
+    let tried = all.filter_map(|clock| Some((error(clock)?, clock)));
+    tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, clock)| clock)
 }
 
-/// Number of the instants at which a camera has a frame.
-fn seen(scene: &Scene, camera: usize, points: &[Points]) -> usize {
-    scene.errors(camera, &scene.readings[camera], points).iter().flatten().count()
-}
-
-/// The error of a camera's readings beside points of the others.
-fn beside(scene: &Scene, camera: usize, points: &[Points]) -> impl Fn(&Reading) -> Option<f64> {
-    let seen = seen(scene, camera, points);
-    move |reading| middle(scene.errors(camera, reading, points), seen)
-}
-
-/// The hypothesis with the least error.
-fn best(
-    all: impl Iterator<Item = Hypothesis>,
-    error: impl Fn(&Reading) -> Option<f64>,
-) -> Option<Hypothesis> {
-    let tried = all.filter_map(|one| Some((error(&one.reading)?, one)));
-    tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
-}
-
-/// A shift of more than a few frames and at most `most`.
+/// A clock that is off by [`NEAR`] to `most` frames.
 pub(super) fn far(
     scene: &Scene,
     camera: usize,
     most: i64,
-    error: impl Fn(&Reading) -> Option<f64>,
-) -> Option<Hypothesis> {
-    let (reading, period) = (&scene.readings[camera], scene.periods[camera]);
+    error: impl Fn(Clock) -> Option<f64>,
+) -> Option<Clock> {
+    let (clock, period) = (scene.readings[camera].clock, scene.periods[camera]);
     let [first, last] = scene.footage.tracks[camera].span?;
     let most = most.min((last - first).ns() / period.ns().max(1));
-    let of = |frames: i64| shift(reading, period, frames, 1.3);
-    let coarse = (MOST_FRAMES..=most).step_by(STRIDE as usize).flat_map(|frames| [-frames, frames]);
+    let of = |frames: i64| clock.later(period * frames);
+    let coarse = (NEAR..=most).step_by(STRIDE as usize).flat_map(|frames| [-frames, frames]);
     let coarse = best(coarse.map(of), &error)?;
-    let about = (coarse.reading.clock.late - reading.clock.late).ns() / period.ns().max(1);
+    let about = (coarse.late - clock.late).ns() / period.ns().max(1);
     best((about - STRIDE..=about + STRIDE).map(of), error)
 }
 
-/// Another frame rate, of the usual ones: files of frames have no times, and one rate was given for all cameras.
-fn rated(scene: &Scene, camera: usize, points: &[Points]) -> Option<Hypothesis> {
-    let own = 1e9 / scene.periods[camera].ns() as f64;
-    let rates = RATES.into_iter().filter(|rate| (rate / own).ln().abs() > 0.02);
-    let all = rates.flat_map(|rate| {
-        (-NEAR_FRAMES..=NEAR_FRAMES)
-            .filter_map(move |late| running(scene, camera, rate / own, late))
-    });
-    best(all, beside(scene, camera, points))
+/// A search for the clock of a camera beside points of the others.
+struct Search<'a> {
+    scene: &'a Scene<'a>,
+    camera: usize,
+    points: &'a [Points],
+    /// The errors with its own clock, by instant.
+    now: Vec<Option<f64>>,
+    period: Nanos,
+    /// Its first and last capture time.
+    first: Timestamp,
+    last: Timestamp,
 }
 
-/// A clock that runs a little too fast or too slowly. The errors at whole shifts are looked up.
-fn drifting(scene: &Scene, camera: usize, points: &[Points]) -> Option<Hypothesis> {
-    let (reading, period) = (&scene.readings[camera], scene.periods[camera]);
-    let [first, last] = scene.footage.tracks[camera].span?;
-    let span = (last - first).ns() as f64;
-    let shifts = || -MOST_DRIFT..=MOST_DRIFT;
-    let errors = |frames| {
-        let reading = Reading { clock: reading.clock.later(period * frames), ..reading.clone() };
-        scene.errors(camera, &reading, points)
-    };
-    let table: Vec<Vec<Option<f64>>> = shifts().map(errors).collect();
-    let parts = scene.instants.iter().map(|time| {
-        let own = *time - reading.camera.time_offset;
-        (own - first).ns() as f64 / span
-    });
-    let parts: Vec<f64> = parts.collect();
-    let seen = seen(scene, camera, points);
-    let of = |start: i64, drift: i64| {
-        let at = |(instant, part): (usize, &f64)| {
-            let frames = libm::round(start as f64 + part * drift as f64) as i64 + MOST_DRIFT;
-            table.get(usize::try_from(frames).ok()?)?[instant]
+impl Search<'_> {
+    /// The errors with a clock, by instant.
+    fn errors(&self, clock: Clock) -> Vec<Option<f64>> {
+        let reading = Reading { clock, ..self.scene.readings[self.camera].clone() };
+        self.scene.errors(self.camera, &reading, self.points)
+    }
+
+    /// The median error. `None` if too few instants have one, or others than the good ones do.
+    fn error(&self, errors: &[Option<f64>]) -> Option<f64> {
+        let both = || errors.iter().zip(&self.now);
+        let now = |has_frame: bool| {
+            let of = both().filter(|(then, _)| then.is_some() == has_frame);
+            of.filter_map(|(_, now)| *now).collect::<Vec<f64>>()
         };
-        middle(parts.iter().enumerate().map(at).collect(), seen)
-    };
-    let all = shifts().flat_map(|drift| shifts().map(move |start| (start, drift)));
-    let tried = all.filter(|(_, drift)| *drift != 0);
-    let tried = tried.filter_map(|(start, drift)| Some((of(start, drift)?, start, drift)));
-    let (_, start, drift) = tried.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    running(scene, camera, 1.0 + drift as f64 * period.ns() as f64 / span, start)
-}
+        let mut seen: Vec<f64> = errors.iter().flatten().copied().collect();
+        let before = self.now.iter().flatten().count();
+        let is_good_left_out = median(&mut now(false))
+            .zip(median(&mut now(true)))
+            .is_some_and(|(left_out, kept)| left_out < AS_BAD * kept);
+        let is_enough = seen.len() as f64 >= SEEN * before as f64 && !is_good_left_out;
+        median(&mut seen).filter(|_| is_enough)
+    }
 
-/// A clock that runs `rate` times as fast as it should, and is late at the start.
-fn running(scene: &Scene, camera: usize, rate: f64, late: i64) -> Option<Hypothesis> {
-    let (reading, period) = (&scene.readings[camera], scene.periods[camera]);
-    let [first, _] = scene.footage.tracks[camera].span?;
-    let own = 1e9 / period.ns() as f64;
-    let right = own * rate;
-    let finding = Finding::new(
-        "frame_rate",
-        format!("its capture times run {rate:.4} times as fast as those of the others"),
-        format!(
-            "its frame rate is {right:.2}, not {own:.2} Hz (import it with --fps {}={right:.2}), or its clock is wrong",
-            reading.camera.name
-        ),
-    );
-    let clock = Clock { rate: Some((first, rate)), ..reading.clock.later(period * late) };
-    let reading = Reading { clock, ..reading.clone() };
-    Some(Hypothesis { finding, reading, weight: 1.3 })
+    /// Another usual frame rate: files of frames have no times, and one rate was given for all cameras.
+    fn rated(&self) -> Option<Clock> {
+        let starts = || -NEAR_AT_START..=NEAR_AT_START;
+        let all =
+            RATIOS.into_iter().flat_map(|rate| starts().map(move |late| self.running(rate, late)));
+        best(all, |clock| self.error(&self.errors(clock)))
+    }
+
+    /// A clock that runs a little too fast or too slowly. The errors at whole shifts are looked up.
+    fn drifting(&self) -> Option<Clock> {
+        let own = self.scene.readings[self.camera].clock;
+        let span = (self.last - self.first).ns() as f64;
+        let frames = span / self.period.ns() as f64;
+        let shifts = || -*DRIFTS.end()..=*DRIFTS.end();
+        let table: Vec<_> =
+            shifts().map(|frames| self.errors(own.later(self.period * frames))).collect();
+        let offset = self.scene.readings[self.camera].camera.time_offset;
+        let part = |time: &Timestamp| (*time - offset - self.first).ns() as f64 / span;
+        let parts: Vec<f64> = self.scene.instants.iter().map(part).collect();
+        let error = |start: i64, drift: i64| {
+            let at = |(instant, part): (usize, &f64)| {
+                let frames = libm::round(start as f64 + part * drift as f64) as i64 + DRIFTS.end();
+                table.get(usize::try_from(frames).ok()?)?[instant]
+            };
+            self.error(&parts.iter().enumerate().map(at).collect::<Vec<_>>())
+        };
+        let is_drift = |drift: &i64| {
+            DRIFTS.contains(&drift.abs()) && drift.abs() as f64 <= MOST_DRIFT * frames
+        };
+        let all = shifts().filter(is_drift);
+        let all = all.flat_map(|drift| shifts().map(move |start| (start, drift)));
+        let tried = all.filter_map(|(start, drift)| Some((error(start, drift)?, start, drift)));
+        let (_, start, drift) = tried.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some(self.running(1.0 + drift as f64 / frames, start))
+    }
+
+    /// A clock that runs `rate` times as fast as it should, and is late at the start.
+    fn running(&self, rate: f64, late: i64) -> Clock {
+        let clock = self.scene.readings[self.camera].clock.later(self.period * late);
+        Clock { rate: Some((self.first, rate)), ..clock }
+    }
 }

@@ -138,12 +138,23 @@ impl Evidence {
 
     /// Judges the cameras by the performer who moved most; without one, by everybody in view. If a camera
     /// seems wrong, the other performers are checked too: a performer whom a camera often loses makes it look wrong, but a
-    /// real fault shows with every performer. `rig` are the same cameras, perhaps with other time offsets.
+    /// real fault shows with every performer. `rig` are the same cameras or the first of them, perhaps with other time
+    /// offsets.
     pub fn check(mut self, rig: &Rig) -> Check {
         if let Some(crowd) = &mut self.crowd {
             crowd.end();
         }
         self.follow(true);
+        let cameras = rig.cameras.len();
+        for footage in [&mut self.largest, &mut self.everybody] {
+            footage.keep_first(cameras);
+        }
+        for Seen { footage, found } in &mut self.performers {
+            footage.keep_first(cameras);
+            found.truncate(cameras);
+        }
+        self.with_people.truncate(cameras);
+        self.with_several.truncate(cameras);
         let [several, all]: [usize; 2] =
             [&self.with_several, &self.with_people].map(|counts| counts.iter().sum());
         let least = self.with_people.iter().max().map_or(0.0, |most| SEEN * *most as f64);

@@ -35,9 +35,10 @@ pub(super) const LEAST_POINTS: usize = 6;
 const BODY_POINTS: usize = 26;
 /// Frames are kept in sections of this length, every section of a camera with at most that many, every
 /// second one of a camera with more, and so on. Sections are counted from zero time, so that cameras
-/// with the same clock keep the same ones.
+/// with the same clock keep the same ones. The first ones are always kept: there, clocks may differ by seconds.
 const SECTION: Nanos = Nanos::from_ms(4000);
 const MOST_SECTIONS: i64 = 12;
+const FIRST_SECTIONS: i64 = 6;
 /// Frames between two compared ones.
 pub(super) const APART: usize = 15;
 /// Frames before and after a frame that tell how much the performer moves.
@@ -136,6 +137,11 @@ impl Footage {
         Self { tracks: vec![Track { stride: 1, ..Track::default() }; cameras], most_people }
     }
 
+    /// Forgets all but the first cameras.
+    pub(super) fn keep_first(&mut self, cameras: usize) {
+        self.tracks.truncate(cameras);
+    }
+
     /// The same with the cameras of which that is true from other footage.
     pub(super) fn with(&self, other: &Self, is_other: impl Fn(usize) -> bool) -> Self {
         let both = self.tracks.iter().zip(&other.tracks).enumerate();
@@ -156,7 +162,10 @@ impl Footage {
         track.span = Some([first, frame.capture]);
         let points = frame.people.iter().map(|person| person.points.iter().flatten().count());
         track.points += points.sum::<usize>();
-        let is_kept = |capture, stride| section(capture).rem_euclid(stride) == 0;
+        let is_kept = |capture, stride| {
+            let own = section(capture);
+            own - section(first) < FIRST_SECTIONS || own.rem_euclid(stride) == 0
+        };
         while section(frame.capture) - section(first) >= MOST_SECTIONS * track.stride {
             track.stride *= 2;
             track.frames.retain(|frame| is_kept(frame.capture, track.stride));

@@ -6,10 +6,11 @@ use super::hypotheses::{self, Finding, Hypothesis};
 use super::performer;
 use super::placement;
 use super::reading::Reading;
+use super::times::Clock;
 use crate::core::camera::Camera;
 use crate::core::points::median;
 
-/// A camera below this error fits, whatever else would fit better.
+/// A camera below this error fits, unless its clock is wrong.
 const FITS: f64 = 0.02;
 /// A fault explains an error if the error without it is below this part, and lower by [`GAIN`].
 const EXPLAINED: f64 = 0.55;
@@ -25,7 +26,7 @@ const TIMES_OTHERS: f64 = 2.5;
 const WRONG_OF_THREE: f64 = 0.12;
 /// Two cameras disagree above this error of each.
 const DISAGREE: f64 = 0.05;
-/// The same for a clock: a performer who hardly moves shows little of it.
+/// [`FITS`] and [`GAIN`] of clocks: a performer who hardly moves shows little of them.
 const FITS_IN_TIME: f64 = 0.01;
 const GAIN_IN_TIME: f64 = 0.006;
 /// A fault must raise the sum of the cameras' support by this.
@@ -38,8 +39,9 @@ const STARTS: usize = 3;
 const MOST_PERMUTED: usize = 16;
 /// Of two cameras, the faults that are listed: the best ones, up to this many times the least error.
 const MOST_OPTIONS: usize = 3;
-/// Frames by which the clocks of two cameras differ at most.
+/// Frames by which the clocks of two cameras differ at most. Shifts that differ by less than [`ONE_SHIFT`] are one.
 const MOST_OF_TWO: i64 = 300;
+const ONE_SHIFT: f64 = 3.0;
 const ALIKE: f64 = 1.5;
 
 /// The cameras without their faults.
@@ -168,36 +170,35 @@ fn explain_all(judged: &Judged, cameras: &[Camera]) -> Vec<(usize, Hypothesis)> 
         let is_base = consensus.members[camera] && count <= 2;
         let beside = beside.filter(|_| findings[camera].is_none() && !is_base)?;
         let points = scene.points(consensus, Some(camera));
-        Some((camera, explained(scene, camera, &points, beside, cameras)?))
+        Some((camera, explained(scene, camera, &points, (beside, false), cameras)?))
     };
     fits(judged).into_iter().enumerate().filter_map(explain).collect()
 }
 
-/// The fault of a camera that explains why it does not fit the others.
+/// The fault of a camera that explains why it does not fit the others. `is_part`: in a part of the recording, where a
+/// clock can only be shifted, and not by much.
 pub(super) fn explained(
     scene: &Scene,
     camera: usize,
     points: &[Points],
-    beside: Beside,
+    (beside, is_part): (Beside, bool),
     cameras: &[Camera],
 ) -> Option<Hypothesis> {
     let Beside { fit: now, usual, least: of_best } = beside;
     if now.error < FITS_IN_TIME {
         return None;
     }
-    let (best, error) = match now.error < FITS {
-        true => explain_in_time(scene, camera, points)?,
-        false => explain(scene, camera, points, usual, cameras)?,
-    };
+    let (best, error) = explain(scene, camera, points, (usual, is_part), cameras)?;
+    let is_clock = is_of_clock(&best.finding);
     let (times, [least, most]) = GAIN_FREE;
     let gain = match best.weight {
-        _ if is_of_clock(&best.finding) => GAIN_IN_TIME,
+        _ if is_clock => GAIN_IN_TIME,
         weight if weight < 1.2 => GAIN,
         _ => (times * of_best).clamp(least, most),
     };
     let is_explained =
         error < (EXPLAINED * now.error).min(now.error - gain).min(2.0 * usual + FITS);
-    is_explained.then_some(best)
+    (is_explained && (is_clock || now.error >= FITS)).then_some(best)
 }
 
 /// The fault that explains most, and the error without it. `usual` is the error of the others.
@@ -205,7 +206,7 @@ fn explain(
     scene: &Scene,
     camera: usize,
     points: &[Points],
-    usual: f64,
+    (usual, is_part): (f64, bool),
     cameras: &[Camera],
 ) -> Option<(Hypothesis, f64)> {
     let reading = &scene.readings[camera];
@@ -218,17 +219,11 @@ fn explain(
         // Motion may be periodic: another shift may fit better.
         *error < EXPLAINS_ALL * usual && !is_of_clock(&one.finding)
     };
-    if found.as_ref().is_some_and(explains_all) {
+    if is_part || found.as_ref().is_some_and(explains_all) {
         return found;
     }
     let all = found.map(|(one, _)| one).into_iter().chain(clock::clocks(scene, camera, points));
     best(scene, camera, points, all)
-}
-
-/// The same of the faults of clocks alone, without large shifts.
-fn explain_in_time(scene: &Scene, camera: usize, points: &[Points]) -> Option<(Hypothesis, f64)> {
-    let shifts = clock::shifts(&scene.readings[camera], scene.periods[camera]);
-    best(scene, camera, points, shifts.chain(clock::rates(scene, camera, points)))
 }
 
 /// The hypothesis with the least weighed error, and its error.
@@ -346,11 +341,13 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
             scene.views.iter().filter(are_there).count()
         };
         let least = both(scene) / 2;
-        let error = |reading: &Reading| {
-            let tried = scene.with_one(second, reading.clone());
+        let reading = &scene.readings[second];
+        let error = |clock: Clock| {
+            let tried = scene.with_one(second, Reading { clock, ..reading.clone() });
             error(&tried).map(|(error, ..)| error).filter(|_| both(&tried) >= least)
         };
         let far = clock::far(scene, second, MOST_OF_TWO, error);
+        let far = far.map(|clock| clock::with_clock(reading, scene.periods[second], clock));
         options.extend(far.and_then(|far| alternative(second, far)));
     }
     let of_both =
@@ -377,14 +374,24 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
     options.sort_by(|a, b| a.error.total_cmp(&b.error));
     let least = options.first().map_or(0.0, |best| best.error);
     options.retain(|option| option.error <= ALIKE * least);
-    // Only their clocks can be wrong; which one is the same.
-    if options.iter().all(|option| option.shift.is_some())
-        && let Some(Alternative { consensus, shift: Some((camera, best)), .. }) = options.first()
+    // Only their clocks can be wrong, by one shift. Which of the two is shifted is the same.
+    let shift = |option: &Alternative| {
+        let (camera, hypothesis) = option.shift.as_ref()?;
+        let late = hypothesis.reading.clock.late - scene.readings[*camera].clock.late;
+        let frames = late.ns() as f64 / scene.periods[*camera].ns() as f64;
+        Some(if *camera == first { -frames } else { frames })
+    };
+    if let Some(best) = options.first()
+        && let Some((camera, hypothesis)) = &best.shift
+        && let Some(frames) = shift(best)
+        && best.error < hypothesis.weight * FITS
+        && options.iter().all(|one| shift(one).is_some_and(|s| (s - frames).abs() <= ONE_SHIFT))
     {
-        let scene = scene.with_one(*camera, best.reading.clone());
+        let scene = scene.with_one(*camera, hypothesis.reading.clone());
         let mut findings = vec![None; cameras.len()];
-        findings[*camera] = Some(best.finding.clone());
-        return Some(Judged { scene, consensus: consensus.clone(), findings, general: Vec::new() });
+        findings[*camera] = Some(hypothesis.finding.clone());
+        let consensus = best.consensus.clone();
+        return Some(Judged { scene, consensus, findings, general: Vec::new() });
     }
     let disagrees = disagreement.is_none_or(|error| error > DISAGREE) || !options.is_empty();
     let consensus = options.first().map(|option| option.consensus.clone());

@@ -6,7 +6,7 @@
 //! that makes it agree is named. If the cameras that agree are no majority, exchanged calibrations and
 //! faults of all cameras are tried too. The fewest faults win that make most cameras agree on a performer
 //! of human size, upright, with feet forwards. With two cameras nothing tells which one is wrong; all
-//! that makes them agree is listed.
+//! that makes them agree is listed. If that is a shift of the times alone, it is the fault of one of them.
 //!
 //! [`Evidence`] is of one performer at some instants. Of several people, each camera's detection of the
 //! performer is used; where there is none, everybody who is nobody else is kept, because a wrong camera
@@ -277,7 +277,8 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             row.times = times[camera];
             let fixed_px = fit(fixed).map(|fit| fit.px);
             // A fault of a part of the recording is not undone.
-            row.error_after_fix_px = fixed_px.filter(|px| Some(*px) < row.error_px);
+            let is_less = |px: &f64| row.error_px.is_none_or(|now| *px < now);
+            row.error_after_fix_px = fixed_px.filter(|px| px.is_finite() && is_less(px));
         }
     }
     let points = fixed.points(consensus, None);

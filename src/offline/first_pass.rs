@@ -18,7 +18,7 @@ use crate::core::detections::Detections;
 use crate::core::stage::Stage;
 use crate::core::time::Nanos;
 use crate::core::tracker::{self, BodyEstimator, Effort, EventKind, FramePeriod, Output, Tracker};
-use crate::diagnose::Evidence;
+use crate::diagnose::{CameraCheck, Evidence};
 
 /// Wrong times are corrected so often.
 const CORRECTIONS: usize = 2;
@@ -112,7 +112,7 @@ pub(super) struct FirstPass {
     pub(super) evidence: Evidence,
     /// Of all cameras; empty if they were not estimated.
     pub(super) offsets: Vec<CameraOffset>,
-    /// What was wrong with the times of cameras and is corrected, besides offsets.
+    /// What was wrong with the times of cameras, besides offsets. It is corrected.
     pub(super) notes: Vec<String>,
     /// Whether the known body did not fit and was estimated anew.
     pub(super) is_body_wrong: bool,
@@ -158,6 +158,7 @@ impl FirstPass {
         held_out: &mut [Camera],
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
+        recording.forget_corrections();
         let mut body = options.body.as_ref();
         let mut once = |recording: &mut Recording, body, rig: &Rig, held_out: &[Camera]| {
             let driver = driver(options, body, recording.frames(), rig, period)?;
@@ -176,16 +177,36 @@ impl FirstPass {
             return Ok(Self { is_body_wrong, ..pass });
         }
         // Large faults first, by what the cameras saw. One may hide another.
+        let offsets_before: Vec<_> =
+            rig.cameras.iter().chain(&*held_out).map(|camera| camera.time_offset).collect();
         let (mut late, mut notes) = (vec![Nanos::ZERO; pass.cameras.len()], Vec::new());
-        for _ in 0..CORRECTIONS {
-            if !pass.correct_times(recording, rig, held_out, (&mut late, &mut notes)) {
+        let mut corrected: Vec<(usize, Option<f64>)> = Vec::new();
+        for round in 0..=CORRECTIONS {
+            let checks = pass.checks(rig.cameras.len());
+            let is_no_better =
+                |(camera, share): &(usize, _)| checks[*camera].agreeing_percent <= *share;
+            if corrected.iter().any(is_no_better) {
+                // The times were right.
+                recording.forget_corrections();
+                let all = rig.cameras.iter_mut().chain(&mut *held_out);
+                all.zip(&offsets_before).for_each(|(camera, before)| camera.time_offset = *before);
+                (late, notes) = (vec![Nanos::ZERO; pass.cameras.len()], Vec::new());
+                pass = once(recording, body, rig, held_out)?;
+                break;
+            }
+            if round == CORRECTIONS {
+                break;
+            }
+            let all = (&mut *rig, &mut *held_out);
+            corrected = pass.correct_times(recording, all, &checks, (&mut late, &mut notes));
+            if corrected.is_empty() {
                 break;
             }
             pass = once(recording, body, rig, held_out)?;
             is_body_wrong |= pass.is_body_wrong;
         }
-        let offsets = pass.apply_time_offsets(rig, held_out, &late);
-        if offsets.iter().take(rig.cameras.len()).any(|offset| offset.applied) {
+        let (offsets, are_shifted) = pass.apply_time_offsets(rig, held_out, &late);
+        if are_shifted {
             pass = once(recording, body, rig, held_out)?;
             is_body_wrong |= pass.is_body_wrong;
         }
@@ -308,54 +329,64 @@ impl FirstPass {
         longest.map_or_else(none, |(performer, one)| (performer, one.tracks.clone()))
     }
 
-    /// Corrects the wrong times that the [check](crate::diagnose::Check) finds, and says whether there were any. Adds by
-    /// how much the times of each camera were late, and notes on what else was wrong.
+    /// The judgement on each camera. The held-out ones, which follow the `solved` ones, are not witnesses.
+    fn checks(&self, solved: usize) -> Vec<CameraCheck> {
+        let of_first = |cameras: usize| {
+            let cameras = self.cameras[..cameras].to_vec();
+            self.evidence.clone().check(&Rig { version: 0, cameras }).cameras
+        };
+        let mut all = of_first(solved);
+        if self.cameras.len() > solved {
+            all.extend(of_first(self.cameras.len()).split_off(solved));
+        }
+        all
+    }
+
+    /// Corrects the wrong times that the checks found. Adds by how much the times of each camera were late, and notes on
+    /// what else was wrong. Returns the corrected cameras, with the share of their points that agreed.
     fn correct_times(
         &self,
         recording: &mut Recording,
-        rig: &mut Rig,
-        held_out: &mut [Camera],
+        (rig, held_out): (&mut Rig, &mut [Camera]),
+        checks: &[CameraCheck],
         (late, notes): (&mut [Nanos], &mut Vec<String>),
-    ) -> bool {
-        let all = Rig { cameras: self.cameras.clone(), ..rig.clone() };
-        let check = self.evidence.clone().check(&all);
+    ) -> Vec<(usize, Option<f64>)> {
         let period = self.periods.first().copied().unwrap_or_default();
         let nearest = Nanos::rounded(period * OFFSET_REACH as f64);
-        let mut is_corrected = false;
-        for ((row, late), camera) in
-            check.cameras.iter().zip(late).zip(rig.cameras.iter_mut().chain(held_out))
-        {
+        let mut corrected = Vec::new();
+        let cameras = rig.cameras.iter_mut().chain(held_out);
+        for (at, ((row, late), camera)) in checks.iter().zip(late).zip(cameras).enumerate() {
             let Some(wrong) = row.times else { continue };
             match wrong.late() {
                 // The performer's motion tells small ones more exactly, see below.
-                Some(by) if by.abs() <= nearest => {}
+                Some(by) if by.abs() <= nearest => continue,
                 Some(by) => {
                     *late = *late + by;
                     camera.time_offset = camera.time_offset - by;
-                    is_corrected = true;
                 }
                 None => {
                     recording.correct(&row.camera, wrong);
                     let what = row.findings.iter().map(|finding| &*finding.what);
                     let what: String = what.collect::<Vec<_>>().join("; ");
-                    notes.push(format!("camera {}: {what}; its times are corrected", row.camera));
-                    is_corrected = true;
+                    notes.push(format!("camera {}: {what}", row.camera));
                 }
             }
+            corrected.push((at, row.agreeing_percent));
         }
-        is_corrected
+        corrected
     }
 
     /// Estimates the time offsets, and adds the significant ones to the cameras: those of the rig
-    /// from their own views, then those of held-out cameras relative to them. `late` is what was corrected before.
+    /// from their own views, then those of held-out cameras relative to them. `late` is what was corrected before. Also
+    /// returns whether a camera of the rig was shifted.
     fn apply_time_offsets(
         &self,
         rig: &mut Rig,
         held_out: &mut [Camera],
         late: &[Nanos],
-    ) -> Vec<CameraOffset> {
+    ) -> (Vec<CameraOffset>, bool) {
         let (performer, tracks) = self.tracks();
-        let Some(period) = self.periods.get(performer) else { return Vec::new() };
+        let Some(period) = self.periods.get(performer) else { return (Vec::new(), false) };
         let period = Nanos::rounded(*period);
         let solved = rig.cameras.len();
         let estimate = |count: usize, known: &[Nanos]| {
@@ -374,7 +405,8 @@ impl FirstPass {
             let found = if *late == Nanos::ZERO { *found } else { found.after(-*late) };
             CameraOffset::new(camera, &found, period)
         });
-        all.collect()
+        let are_shifted = found.iter().take(solved).any(|one| one.applied() != Nanos::ZERO);
+        (all.collect(), are_shifted)
     }
 }
 
@@ -408,7 +440,7 @@ pub struct CheckedCameras {
     pub offsets: Vec<CameraOffset>,
     /// Their corrections, if asked for.
     pub corrections: Vec<CameraCorrection>,
-    /// What else was wrong with their times.
+    /// What else is wrong with their times; no calibration can correct it, [`solve`](super::solve) does.
     pub notes: Vec<String>,
 }
 

@@ -12,7 +12,7 @@ use super::in_order::InOrder;
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{FramePeriod, FrameRate, RATE_FRAMES, UnitCheck};
 use crate::diagnose::WrongTimes;
 use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
@@ -27,8 +27,8 @@ pub struct Recording {
     /// Frames of the busiest camera.
     frames: u64,
     format: String,
-    /// Calibrated cameras of a whole file that have no keypoints.
-    silent: Vec<String>,
+    /// Whether the file is whole: then a camera without keypoints has none.
+    is_whole: bool,
     /// Cameras with keypoints.
     seen: BTreeMap<String, CameraInfo>,
     /// First and last capture time that is used, if not all are.
@@ -51,11 +51,11 @@ pub(crate) enum Item {
 }
 
 impl Item {
-    /// Of a frame: the number of its camera, where held-out cameras follow the `solved` ones, and the capture time.
-    fn of_camera(&self, solved: usize) -> Option<(usize, Timestamp)> {
+    /// Of a frame, the number of its camera. Held-out cameras follow the `solved` ones.
+    fn camera(&self, solved: usize) -> Option<usize> {
         match self {
-            Self::Detections(frame, _) => Some((frame.camera, frame.capture)),
-            Self::HeldOut(frame, _) => Some((solved + frame.camera, frame.capture)),
+            Self::Detections(frame, _) => Some(frame.camera),
+            Self::HeldOut(frame, _) => Some(solved + frame.camera),
             Self::TrueBody(..) | Self::TruePose(..) => None,
         }
     }
@@ -81,13 +81,10 @@ impl Recording {
         let frames = of_cameras.map(|topic| topic.count).max().unwrap_or(0);
         let format = info.cameras.values().map(|camera| camera.format.clone()).next();
         let format = format.unwrap_or_default();
-        let names = rig.cameras.iter().map(|camera| camera.name.clone());
-        let is_silent = |name: &String| info.report.is_clean() && !info.cameras.contains_key(name);
-        let silent = names.filter(is_silent).collect();
-        let seen = info.cameras;
+        let (is_whole, seen) = (info.report.is_clean(), info.cameras);
         let (span, wrong_times) = (None, BTreeMap::new());
         let recording =
-            Self { reader, rig, messages, frames, format, silent, seen, span, wrong_times };
+            Self { reader, rig, messages, frames, format, is_whole, seen, span, wrong_times };
         recording.check_cameras()?;
         Ok(recording)
     }
@@ -181,24 +178,29 @@ impl Recording {
         }
         let chosen = self.rig.cameras.iter().filter(|camera| {
             let is_wanted = match wanted.is_empty() {
-                true => !self.silent.contains(&camera.name),
+                true => !self.is_silent(camera),
                 false => wanted.contains(&camera.name.as_str()),
             };
             is_wanted && held_out.iter().all(|held_out| held_out.name != camera.name)
         });
-        let rig =
-            Rig::new(self.rig.version, chosen.cloned().collect()).map_err(|source| {
-                match self.silent.first().filter(|_| only.is_empty()) {
-                    Some(camera) => Error::SilentCamera { path: path(), camera: camera.clone() },
-                    None => Error::Rig { path: path(), source },
-                }
-            })?;
-        let is_held_out = |name: &String| held_out.iter().any(|camera| camera.name == *name);
-        let is_used = |name: &&String| rig.index_of(name).is_some() || is_held_out(name);
-        match self.silent.iter().find(is_used) {
-            None => Ok(rig),
-            Some(camera) => Err(Error::SilentCamera { path: path(), camera: camera.clone() }),
+        let rig = Rig::new(self.rig.version, chosen.cloned().collect());
+        let silent = match &rig {
+            Ok(rig) => rig.cameras.iter().chain(held_out).find(|camera| self.is_silent(camera)),
+            Err(_) => self.silent().next().filter(|_| only.is_empty() && held_out.is_empty()),
+        };
+        if let Some(camera) = silent {
+            return Err(Error::SilentCamera { path: path(), camera: camera.name.clone() });
         }
+        rig.map_err(|source| Error::Rig { path: path(), source })
+    }
+
+    fn is_silent(&self, camera: &Camera) -> bool {
+        self.is_whole && !self.seen.contains_key(&camera.name)
+    }
+
+    /// The calibrated cameras without keypoints.
+    fn silent(&self) -> impl Iterator<Item = &Camera> {
+        self.rig.cameras.iter().filter(|camera| self.is_silent(camera))
     }
 
     /// The rig of all cameras, with `cameras` in place of those of the same names.
@@ -211,6 +213,11 @@ impl Recording {
         rig
     }
 
+    /// Forgets corrections of capture times.
+    pub(crate) fn forget_corrections(&mut self) {
+        self.wrong_times.clear();
+    }
+
     /// Corrects the capture times of a camera from the next pass on.
     pub(crate) fn correct(&mut self, camera: &str, wrong: WrongTimes) {
         self.wrong_times.entry(camera.to_owned()).or_default().push(wrong);
@@ -218,8 +225,8 @@ impl Recording {
 
     /// A note that names the cameras without keypoints, if there are any.
     pub fn silent_note(&self) -> Option<String> {
-        let silent = self.silent.join(", ");
-        let note = || format!("camera {silent} has no keypoints; the others are used");
+        let silent: Vec<_> = self.silent().map(|camera| &*camera.name).collect();
+        let note = || format!("no keypoints of camera {}; the others are used", silent.join(", "));
         (!silent.is_empty()).then(note)
     }
 
@@ -264,31 +271,37 @@ impl Recording {
         let offsets = rig.cameras.iter().chain(held_out).map(|camera| camera.time_offset);
         let offsets: Vec<_> = offsets.collect();
         // Otherwise they keep the order of the recording.
-        let sorts =
-            !self.wrong_times.is_empty() || offsets.iter().any(|offset| *offset != offsets[0]);
-        let mut in_order = InOrder::new(offsets);
+        let is_corrected = !self.wrong_times.is_empty();
+        let sorts = is_corrected || offsets.iter().any(|offset| *offset != offsets[0]);
+        let mut in_order = InOrder::new(&offsets, !is_corrected);
+        let offset = |name: &str| {
+            let camera = rig.cameras.iter().chain(held_out).find(|camera| camera.name == name);
+            camera.map_or(Nanos::ZERO, |camera| camera.time_offset)
+        };
         while let Some(entry) = self.reader.next() {
-            let entry = entry?;
+            let mut entry = entry?;
             if each_message().is_break() {
                 return Err(Error::Stopped { path: self.path().to_owned() });
             }
-            let captured = match &entry.message {
-                Message::Keypoints(frame) => Some(frame.capture_time_ns),
-                Message::TruthPose(pose) => Some(pose.capture_time_ns),
+            let captured = match &mut entry.message {
+                Message::Keypoints(frame) => {
+                    let own = Timestamp::from_ns(frame.capture_time_ns);
+                    let wrong = self.wrong_times.get(&frame.camera).into_iter().flatten();
+                    let right = wrong.fold(own, |time, wrong| wrong.corrected(time));
+                    frame.capture_time_ns = right.ns();
+                    Some(right + offset(&frame.camera))
+                }
+                Message::TruthPose(pose) => Some(Timestamp::from_ns(pose.capture_time_ns)),
                 _ => None,
             };
             let is_out = |[first, last]: [Timestamp; 2]| {
-                captured.is_some_and(|ns| !(first.ns()..=last.ns()).contains(&ns))
+                captured.is_some_and(|time| !(first..=last).contains(&time))
             };
             if self.span.is_some_and(is_out) {
                 continue;
             }
             let item = match entry.message {
-                Message::Keypoints(mut frame) => {
-                    for wrong in self.wrong_times.get(&frame.camera).into_iter().flatten() {
-                        let capture = Timestamp::from_ns(frame.capture_time_ns);
-                        frame.capture_time_ns = wrong.corrected(capture).ns();
-                    }
+                Message::Keypoints(frame) => {
                     let mut names = held_out.iter().map(|camera| &camera.name);
                     let percent = in_percent(&frame);
                     if let Some(camera) = rig.index_of(&frame.camera) {
@@ -312,9 +325,9 @@ impl Recording {
                 _ => continue,
             };
             match item {
-                Ok(item) => match item.of_camera(rig.cameras.len()).filter(|_| sorts) {
-                    Some((camera, capture)) => in_order.add(camera, capture, item),
-                    None => take(item)?,
+                Ok(item) => match item.camera(rig.cameras.len()).zip(captured) {
+                    Some((camera, captured)) if sorts => in_order.add(camera, captured, item),
+                    _ => take(item)?,
                 },
                 Err(error) => self.reader.reject(&entry.topic, &error),
             }

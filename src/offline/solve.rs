@@ -23,7 +23,7 @@ use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::manifold::Decoder;
 use crate::core::stage::{Names, PerformerId, Performers, Stage};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{FramePeriod, Output, Tracker};
 use crate::diagnose::{Check, Evidence};
 use crate::io::recording::{Provenance, Report};
@@ -100,7 +100,7 @@ pub fn solve_group(
         tracking,
         file,
         evidence: check.as_mut().err(),
-        solved: rig.cameras.len(),
+        offsets: rig.cameras.iter().map(|camera| camera.time_offset).collect(),
     };
     let report = run.stream(&mut driver, recording, (&rig, &held_out), observer)?;
     let Run { mut collected, tracking, .. } = run;
@@ -135,7 +135,8 @@ pub fn solve_group(
         let states = poses.states.csv();
         let (one, summary) = one.summarise(recording, &rig, skeleton, poses, &report, seconds);
         let mut summary = Summary { time_offsets: offsets.clone(), ..summary };
-        summary.notes.extend(silent.iter().chain(&notes).cloned());
+        summary.notes.extend(silent.clone());
+        summary.notes.extend(notes.iter().map(|note| format!("{note}; its times are corrected")));
         summary.notes.extend(check.warnings());
         if !options.references.is_empty() {
             summary.notes.extend(Reference::note(summary.reference.as_ref(), false));
@@ -210,6 +211,7 @@ fn prepare(
     let held_out = options.hold_out.iter().map(|name| recording.camera(name).cloned());
     let mut held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
     let mut rig = recording.chosen(&options.cameras, &held_out)?;
+    recording.forget_corrections();
     let period = recording.frame_period(&rig)?;
     let (mut bodies, mut offsets, mut is_body_wrong) =
         (vec![options.body.clone()], Vec::new(), false);
@@ -261,8 +263,8 @@ struct Run<'file> {
     file: Option<&'file mut PoseFile>,
     /// Gathered here if there was no pass before.
     evidence: Option<&'file mut Evidence>,
-    /// Number of the cameras that are solved; the held-out ones follow.
-    solved: usize,
+    /// The time offsets of the cameras that are solved; the held-out ones follow.
+    offsets: Vec<Nanos>,
 }
 
 impl Run<'_> {
@@ -288,7 +290,13 @@ impl Run<'_> {
         Ok(report)
     }
 
-    fn item(&mut self, item: Item) -> Result<(), Error> {
+    fn item(&mut self, mut item: Item) -> Result<(), Error> {
+        if let Item::Detections(frame, percent) = &mut item {
+            if let Some(evidence) = &mut self.evidence {
+                evidence.add(frame, *percent);
+            }
+            frame.capture = frame.capture + self.offsets[frame.camera];
+        }
         for Collected { poses, comparisons, .. } in &mut self.collected {
             match &item {
                 Item::Detections(detections, _) => {
@@ -312,16 +320,13 @@ impl Run<'_> {
             }
         }
         match (item, &mut self.tracking) {
-            (Item::Detections(detections, percent), _) => {
-                if let Some(evidence) = &mut self.evidence {
-                    evidence.add(&detections, percent);
-                }
+            (Item::Detections(detections, _), _) => {
                 if let Some(file) = &mut self.file {
                     file.frame(&detections)?;
                 }
             }
             (Item::HeldOut(frame, percent), _) => {
-                let camera = self.solved + frame.camera;
+                let camera = self.offsets.len() + frame.camera;
                 if let Some(evidence) = &mut self.evidence {
                     evidence.add(&Detections { camera, ..frame }, percent);
                 }

@@ -626,6 +626,57 @@ fn a_camera_with_another_clock_is_named_and_no_other_one() {
     }
 }
 
+/// Of a long recording, not all frames are kept.
+#[test]
+fn a_late_camera_of_a_long_recording_is_named() {
+    let mut take = Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 9000);
+    let right = take.check();
+    assert!(right.is_clean(), "{right}");
+    late(&mut take, 1, 150);
+    let found = take.check();
+    let causes = found.cameras[1].findings.iter().map(|finding| finding.cause);
+    assert_eq!(causes.collect::<Vec<_>>(), ["time_shift"], "{found}");
+    assert!(found.cameras[1].findings[0].what.contains("150 frames"), "{found}");
+}
+
+/// Who walks once through the views makes a small error of a calibration look like one of time.
+#[test]
+fn a_calibration_that_is_a_little_wrong_is_no_fault_of_a_clock() {
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    for (seed, rig) in
+        [tdhp_like_rig().unwrap(), ring_rig(4, 5.0, 1.6).unwrap()].into_iter().enumerate()
+    {
+        let walk = |seconds: f64| {
+            let mut pose = motion.pose(seconds);
+            pose.root_position.x = 0.8 * (seconds - 2.0);
+            pose
+        };
+        let mut recording = Recording::new(rig.clone(), skeleton.clone(), walk);
+        (recording.noise, recording.frames, recording.fps) = (Noise::clean(), 240, 60.0);
+        recording.seed = seed as u64;
+        let take = Take { rig, frames: recording.detections().collect() };
+        for camera in 0..4 {
+            for fault in 0..4 {
+                let mut wrong = take.clone();
+                match fault {
+                    0 => wrong.camera(camera).focal *= 1.02,
+                    1 => wrong.camera(camera).focal *= 0.98,
+                    2 => wrong.turn(camera, Vector3::y() * 0.01),
+                    _ => wrong.turn(camera, Vector3::y() * -0.01),
+                }
+                let found = wrong.check();
+                let of_clock = ["time_shift", "frame_rate", "frames_lost", "frames_added"];
+                let mut findings = found.cameras.iter().flat_map(|camera| &camera.findings);
+                assert!(
+                    findings.all(|f| !of_clock.contains(&f.cause)),
+                    "{camera}, {fault}:\n{found}"
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn the_named_time_offset_mends_the_camera() {
     let take = Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 480);

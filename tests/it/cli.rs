@@ -898,7 +898,8 @@ fn no_time_of_a_take_matters() {
         place.done("export out/poses.mcap --out cut.bvh --start 1 --end 1.5 --overwrite");
         let cut = fs::read_to_string(place.path("cut.bvh")).unwrap();
         let frames = cut.lines().find_map(|line| line.strip_prefix("Frames:")).unwrap();
-        assert_eq!(frames.trim(), "31");
+        // The take begins between two poses: the estimated offset is no whole number of frames.
+        assert!(["30", "31"].contains(&frames.trim()), "{frames}");
     }
     assert!(medians.iter().all(|median| (median / medians[1] - 1.0).abs() < 0.01), "{medians:?}");
 }
@@ -1249,7 +1250,7 @@ fn cameras_that_do_not_fit_the_rig_are_refused() {
         String::from_utf8(output.stderr).unwrap()
     };
     let notes = solve("solve silent.mcap --out all");
-    assert!(notes.contains("note: camera cam03 has no keypoints; the others are used"), "{notes}");
+    assert!(notes.contains("note: no keypoints of camera cam03; the others are used"), "{notes}");
     let notes = solve("solve silent.mcap --out three --cameras cam1,cam2,cam4");
     assert!(!notes.contains("cam03"), "{notes}");
     let motion = |folder: &str| std::fs::read(place.path(folder).join("poses.bvh")).unwrap();

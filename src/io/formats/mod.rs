@@ -248,7 +248,7 @@ pub enum ImportError {
     },
     /// The videos of the cameras have different frame rates, hertz.
     #[error(
-        "{} has {hz:.3} frames a second, {} has {other:.3}; give the detections' frame rate (--fps; --fps CAMERA=FPS for one camera)",
+        "{} has {hz:.3} frames a second, {} has {other:.3}; give the detections' frame rate (--fps 60; beside it --fps CAMERA=30 for one camera)",
         path.display(), second.display()
     )]
     FrameRates {

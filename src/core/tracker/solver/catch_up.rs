@@ -17,7 +17,8 @@ const FAR: f64 = 2.5;
 const WIDE: f64 = 5.0;
 /// The largest factor where only one of two views tells: its error becomes one scale.
 const WIDEST: f64 = 30.0;
-/// If only one of two views sees it far away, it must do so in this part of the window's frames, and in so many.
+/// Where only one of two views sees it far away, the point must be left behind in this part of the window's frames that
+/// have two views or more, and in so many.
 const LASTING: f64 = 0.5;
 const LEAST_FRAMES: usize = 3;
 

@@ -83,7 +83,8 @@ impl Solver {
             && catch_up > 0
             && job.effort.has_time(&self.config)
             && job.noise.is_settled();
-        for _ in 0..if may_catch_up { CATCH_UPS } else { 0 } {
+        let catch_ups = if may_catch_up { CATCH_UPS } else { 0 };
+        for _ in 0..catch_ups {
             let Some(wide) = widened(&mut problem, &x, observations, &job.rig, scale_px) else {
                 break;
             };
