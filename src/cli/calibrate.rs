@@ -11,6 +11,7 @@ use super::overwrite::Overwrite;
 use super::solve::Progress;
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
+use crate::core::calibration::OFFSET_REACH;
 use crate::io::formats::{Up, write_calibration};
 use crate::offline::{
     CameraCorrection, CameraOffset, CheckedCameras, Options, Recording, check_cameras,
@@ -66,9 +67,6 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// Clocks of synchronised cameras differ by fewer frames.
-const FAR: f64 = 6.0;
-
 pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         arguments.overwrite.check(out)?;
@@ -83,12 +81,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     for note in &found.notes {
         complain("note", &format!("{note}; no calibration can correct it, `solve` does"));
     }
-    let is_far = |one: &CameraOffset| one.offset_frames.is_some_and(|frames| frames.abs() > FAR);
+    let is_far = |one: &CameraOffset| {
+        one.applied && one.offset_frames.is_some_and(|frames| frames.abs() > OFFSET_REACH as f64)
+    };
     if arguments.out.is_some() && found.offsets.iter().any(is_far) {
-        complain(
-            "note",
-            "cameras that were started at different times have offsets of this take alone",
-        );
+        let note = "offsets of many frames may hold for this take alone: its cameras were started at different times";
+        complain("note", note);
     }
     if arguments.json {
         let CheckedCameras { offsets, corrections, notes, .. } = &found;

@@ -179,7 +179,10 @@ fn frame_rate(arguments: &Arguments, folder: &Path) -> Result<f64, Failure> {
     for (camera, fps) in &arguments.fps {
         let fps = frame_rate_option(*fps)?;
         if arguments.fps.iter().filter(|(other, _)| other == camera).count() > 1 {
-            let message = "--fps is given twice; for one camera, write --fps CAMERA=FPS";
+            let message = match camera {
+                Some(camera) => format!("--fps is given twice for camera {camera}"),
+                None => "--fps is given twice; for one camera, write --fps CAMERA=FPS".to_owned(),
+            };
             return Err(Failure::new(Exit::Usage, message));
         }
         if camera.is_none() {

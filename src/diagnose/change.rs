@@ -18,7 +18,8 @@ const LOWERED: f64 = 0.7;
 /// A recording in two parts; one of them is bad.
 #[derive(Clone, Copy, Debug)]
 struct Split {
-    /// The first instant of the second part.
+    /// The last instant of the first part that was judged, and the first one of the second part.
+    before: usize,
     at: usize,
     is_first_bad: bool,
 }
@@ -77,7 +78,7 @@ fn fault(
             Hypothesis { finding: finding.clone(), reading, weight: 1.0 }
         }
         None => {
-            let Split { at, is_first_bad } = bad_part(&now)?;
+            let Split { at, is_first_bad, .. } = bad_part(&now)?;
             let part = if is_first_bad { 0..at } else { at..now.len() };
             let (some, points) = (scene.part(part.clone()), &points[part]);
             let fit = some.fit(camera, &scene.readings[camera], points)?;
@@ -115,7 +116,8 @@ fn bad_part(errors: &[Option<f64>]) -> Option<Split> {
     let best = (LEAST_PART..=last).max_by(|&a, &b| differ(a).abs().total_cmp(&differ(b).abs()))?;
     let (first, second) = seen.split_at(best);
     let [bad, good] = if differ(best) > 0.0 { [first, second] } else { [second, first] };
-    let split = Split { at: seen[best].0, is_first_bad: differ(best) > 0.0 };
+    let (before, at) = (seen[best - 1].0, seen[best].0);
+    let split = Split { before, at, is_first_bad: differ(best) > 0.0 };
     (mean(bad) > TIMES_WORSE * mean(good)).then_some(split)
 }
 
@@ -136,7 +138,7 @@ fn split(now: &[Option<f64>], then: &[Option<f64>]) -> Option<(f64, Split)> {
         (sum(first, is_first_bad) + sum(second, !is_first_bad), k, is_first_bad)
     });
     let (least, k, is_first_bad) = tried.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    Some((least / both.len() as f64, Split { at: both[k].0, is_first_bad }))
+    Some((least / both.len() as f64, Split { before: both[k - 1].0, at: both[k].0, is_first_bad }))
 }
 
 /// What is wrong with a part of the recording, and with its times, if that is it.
@@ -144,11 +146,11 @@ type Change = (Finding, Option<WrongTimes>);
 
 /// The finding with the time when the fault begins or ends.
 fn described(scene: &Scene, split: Split, camera: usize, hypothesis: Hypothesis) -> Change {
-    let Split { at, is_first_bad } = split;
+    let Split { before, at, is_first_bad } = split;
     let spans = scene.footage.spans(&scene.rig.cameras);
     let start = spans.iter().flatten().map(|[first, _]| *first).min();
     let middle =
-        scene.instants[at - 1] + Nanos::new((scene.instants[at] - scene.instants[at - 1]).ns() / 2);
+        scene.instants[before] + Nanos::new((scene.instants[at] - scene.instants[before]).ns() / 2);
     let seconds = start.map_or(0.0, |start| middle.seconds_since(start));
     let Hypothesis { finding: Finding { cause, what, fix }, reading, .. } = hypothesis;
     let late = reading.clock.late;

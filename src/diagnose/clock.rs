@@ -12,18 +12,20 @@ const NEAR: i64 = 30;
 const STRIDE: i64 = 3;
 /// A camera with another frame rate is late by so many frames at most, at the start.
 const NEAR_AT_START: i64 = 6;
-/// Usual frame rates divided by each other: of 24, 25, 30, 50, 60, 100 and 120 Hz.
-const RATIOS: [f64; 14] =
-    [0.2, 0.25, 0.4, 5.0 / 12.0, 0.5, 0.8, 5.0 / 6.0, 0.96, 25.0 / 24.0, 1.2, 1.25, 2.0, 2.4, 4.0];
+/// Usual frame rates, Hz.
+const RATES: [f64; 7] = [24.0, 25.0, 30.0, 50.0, 60.0, 100.0, 120.0];
 /// A drift is between so many frames over the recording, and at most this part of it.
 const DRIFTS: std::ops::RangeInclusive<i64> = 10..=60;
 const MOST_DRIFT: f64 = 0.1;
-/// With another clock, at least this part of the instants that have a frame must have one.
+/// Another clock must leave a frame at this part of the instants that have one now.
 const SEEN: f64 = 0.35;
-/// Those without one must be this bad now, beside the others: another clock must not leave out the good ones.
+/// The instants that lose theirs must be this bad now, beside the others: they must not be the good ones.
 const AS_BAD: f64 = 0.5;
-/// Weights as in [`Hypothesis`], of near shifts and of other clocks.
+/// A fault explains an error if the error without it is below this part.
+pub(super) const EXPLAINED: f64 = 0.55;
+/// Weights as in [`Hypothesis`], of near shifts, of drifts and of other clocks.
 const NEAR_WEIGHT: f64 = 1.05;
+const DRIFT_WEIGHT: f64 = 1.19;
 const WEIGHT: f64 = 1.3;
 
 /// Frames whose capture times are late or early by up to [`NEAR`] frames.
@@ -48,8 +50,10 @@ pub(super) fn clocks(scene: &Scene, camera: usize, points: &[Points]) -> Vec<Hyp
     let period = scene.periods[camera];
     let search = Search { scene, camera, points, now, period, first, last };
     let far = far(scene, camera, i64::MAX, |clock| search.error(&search.errors(clock)));
-    let kinds = [far, search.rated(), search.drifting()];
-    kinds.into_iter().flatten().map(|clock| with_clock(reading, period, clock)).collect()
+    let kinds = [(far, WEIGHT), (search.rated(), WEIGHT), (search.drifting(), DRIFT_WEIGHT)];
+    let kinds = kinds.into_iter().filter_map(|(clock, weight)| Some((clock?, weight)));
+    let of = |(clock, weight)| Hypothesis { weight, ..with_clock(reading, period, clock) };
+    kinds.map(of).collect()
 }
 
 /// The fault of a clock.
@@ -129,7 +133,8 @@ impl Search<'_> {
         self.scene.errors(self.camera, &reading, self.points)
     }
 
-    /// The median error. `None` if too few instants have one, or others than the good ones do.
+    /// The median error. `None` if too few instants have a frame with that clock, if those that lose theirs are the good
+    /// ones, or if the others are not much better.
     fn error(&self, errors: &[Option<f64>]) -> Option<f64> {
         let both = || errors.iter().zip(&self.now);
         let now = |has_frame: bool| {
@@ -138,18 +143,22 @@ impl Search<'_> {
         };
         let mut seen: Vec<f64> = errors.iter().flatten().copied().collect();
         let before = self.now.iter().flatten().count();
-        let is_good_left_out = median(&mut now(false))
-            .zip(median(&mut now(true)))
-            .is_some_and(|(left_out, kept)| left_out < AS_BAD * kept);
-        let is_enough = seen.len() as f64 >= SEEN * before as f64 && !is_good_left_out;
-        median(&mut seen).filter(|_| is_enough)
+        let (lost, kept) = (median(&mut now(false)), median(&mut now(true)));
+        let is_good_lost = lost.zip(kept).is_some_and(|(lost, kept)| lost < AS_BAD * kept);
+        let is_enough = seen.len() as f64 >= SEEN * before as f64 && !is_good_lost;
+        let is_better = |then: &f64| kept.is_none_or(|kept| *then < EXPLAINED * kept);
+        median(&mut seen).filter(|_| is_enough).filter(is_better)
     }
 
     /// Another usual frame rate: files of frames have no times, and one rate was given for all cameras.
     fn rated(&self) -> Option<Clock> {
         let starts = || -NEAR_AT_START..=NEAR_AT_START;
+        let ratios = RATES.into_iter().flat_map(|a| RATES.map(|b| a / b));
+        let mut ratios: Vec<f64> = ratios.filter(|ratio| *ratio != 1.0).collect();
+        ratios.sort_by(f64::total_cmp);
+        ratios.dedup();
         let all =
-            RATIOS.into_iter().flat_map(|rate| starts().map(move |late| self.running(rate, late)));
+            ratios.into_iter().flat_map(|rate| starts().map(move |late| self.running(rate, late)));
         best(all, |clock| self.error(&self.errors(clock)))
     }
 

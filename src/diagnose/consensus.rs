@@ -47,6 +47,8 @@ pub(super) struct Fit {
     /// Median error, as a fraction of the performer's height in the image, and in pixels.
     pub(super) error: f64,
     pub(super) px: f64,
+    /// Mean error as a fraction; those above [`FAR`] count as that.
+    pub(super) mean: f64,
     /// Share of the points that are seen where they should be.
     pub(super) share: f64,
 }
@@ -284,9 +286,15 @@ impl<'a> Scene<'a> {
             (near, all) = (near + best.2[0], all + best.2[1]);
         }
         let frames = relative.len();
+        let mean = relative.iter().map(|error| error.min(FAR)).sum::<f64>() / frames.max(1) as f64;
         let (error, px) = median(&mut relative).zip(median(&mut px))?;
         let share = near as f64 / all.max(1) as f64;
-        (frames >= LEAST_INSTANTS.min(self.instants.len())).then_some(Fit { error, px, share })
+        (frames >= LEAST_INSTANTS.min(self.instants.len())).then_some(Fit {
+            error,
+            px,
+            mean,
+            share,
+        })
     }
 
     /// The relative error of a camera with a reading at each instant.

@@ -208,7 +208,7 @@ impl Footage {
     }
 
     /// `count` times of one camera, on the clock of the rig: a third evenly spread, the others where
-    /// the performer moves most, which shows errors of time. Of the cameras that have time in common
+    /// the performer moves most, which shows errors of time; of a long recording as many more, at its start. Of the cameras that have time in common
     /// with the most others, the one with the most frames is taken: another one may have a clock of
     /// its own.
     pub(super) fn instants(&self, count: usize, cameras: &[Camera]) -> Vec<Timestamp> {
@@ -216,8 +216,7 @@ impl Footage {
         let common = |own: [Timestamp; 2]| {
             spans.iter().flatten().filter(|other| overlap(own, **other)).count()
         };
-        // About the frames that the camera had before some sections were left out.
-        let frames = |track: &Track| track.frames.len() as i64 * track.stride;
+        let frames = |track: &Track| track.count - track.disordered;
         let all = self.tracks.iter().zip(cameras).zip(&spans);
         let all = all.filter_map(|(both, span)| Some((both, common((*span)?))));
         let Some(((longest, camera), _)) =
@@ -225,8 +224,11 @@ impl Footage {
         else {
             return Vec::new();
         };
-        let (frames, all) = (&longest.frames, (3 * count).min(longest.frames.len()));
-        let index = |i: usize| (2 * i + 1) * frames.len() / (2 * all);
+        let frames = &longest.frames;
+        let is_even = |i: &usize| section(frames[*i].capture).rem_euclid(longest.stride) == 0;
+        let (spread, first): (Vec<usize>, Vec<usize>) = (0..frames.len()).partition(is_even);
+        let all = (3 * count).min(spread.len());
+        let index = |i: usize| spread[(2 * i + 1) * spread.len() / (2 * all)];
         let motion = |i: usize| -> f64 {
             let [before, after] = [i.saturating_sub(REACH), (i + REACH).min(frames.len() - 1)];
             let Some(person) = frames[before].people.first() else { return 0.0 };
@@ -239,10 +241,11 @@ impl Footage {
             rest.into_iter().map(|i| (motion(index(i)), i)).collect();
         moving.sort_by(|a, b| b.0.total_cmp(&a.0));
         moving.truncate(count.saturating_sub(even.len()));
-        let mut chosen: Vec<usize> =
-            even.into_iter().chain(moving.into_iter().map(|(_, i)| i)).collect();
+        let chosen = even.into_iter().chain(moving.into_iter().map(|(_, i)| i)).map(index);
+        let of_first = first.iter().copied().step_by(first.len().div_ceil(count).max(1));
+        let mut chosen: Vec<usize> = chosen.chain(of_first).collect();
         chosen.sort_unstable();
-        chosen.into_iter().map(|i| frames[index(i)].capture + camera.time_offset).collect()
+        chosen.into_iter().map(|i| frames[i].capture + camera.time_offset).collect()
     }
 
     /// The median time between two frames of a camera that has frames.

@@ -1,6 +1,6 @@
 //! Finds the faults: the reading of each camera with which most cameras agree.
 
-use super::clock::{self, is_of_clock};
+use super::clock::{self, EXPLAINED, is_of_clock};
 use super::consensus::{Consensus, Fit, Points, Scene};
 use super::hypotheses::{self, Finding, Hypothesis};
 use super::performer;
@@ -12,8 +12,7 @@ use crate::core::points::median;
 
 /// A camera below this error fits, unless its clock is wrong.
 const FITS: f64 = 0.02;
-/// A fault explains an error if the error without it is below this part, and lower by [`GAIN`].
-const EXPLAINED: f64 = 0.55;
+/// A fault lowers the error by this, at least.
 const GAIN: f64 = 0.015;
 /// The same for a fault with more than one free parameter: this many times the best error, within
 /// bounds.
@@ -39,7 +38,7 @@ const STARTS: usize = 3;
 const MOST_PERMUTED: usize = 16;
 /// Of two cameras, the faults that are listed: the best ones, up to this many times the least error.
 const MOST_OPTIONS: usize = 3;
-/// Frames by which the clocks of two cameras differ at most. Shifts that differ by less than [`ONE_SHIFT`] are one.
+/// Frames by which the clocks of two cameras differ at most. Shifts that differ by at most [`ONE_SHIFT`] are one.
 const MOST_OF_TWO: i64 = 300;
 const ONE_SHIFT: f64 = 3.0;
 const ALIKE: f64 = 1.5;
@@ -189,16 +188,18 @@ pub(super) fn explained(
         return None;
     }
     let (best, error) = explain(scene, camera, points, (usual, is_part), cameras)?;
-    let is_clock = is_of_clock(&best.finding);
+    // Far clocks are many.
+    let is_near_clock = is_of_clock(&best.finding) && best.weight < 1.2;
     let (times, [least, most]) = GAIN_FREE;
     let gain = match best.weight {
-        _ if is_clock => GAIN_IN_TIME,
+        _ if is_near_clock => GAIN_IN_TIME,
+        _ if is_of_clock(&best.finding) => GAIN,
         weight if weight < 1.2 => GAIN,
         _ => (times * of_best).clamp(least, most),
     };
     let is_explained =
         error < (EXPLAINED * now.error).min(now.error - gain).min(2.0 * usual + FITS);
-    (is_explained && (is_clock || now.error >= FITS)).then_some(best)
+    (is_explained && (is_near_clock || now.error >= FITS)).then_some(best)
 }
 
 /// The fault that explains most, and the error without it. `usual` is the error of the others.

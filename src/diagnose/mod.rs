@@ -84,6 +84,9 @@ pub struct CameraCheck {
     pub error_after_fix_px: Option<f64>,
     /// What is wrong; empty if it fits.
     pub findings: Vec<Finding>,
+    /// Mean error, as a fraction of the performer's height in the image; large ones count as [`FAR`](consensus::FAR).
+    #[serde(skip)]
+    pub(crate) mean_error: Option<f64>,
     /// What is wrong with its capture times, if that is its fault.
     #[serde(skip)]
     pub(crate) times: Option<WrongTimes>,
@@ -247,6 +250,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             error_px: None,
             error_after_fix_px: None,
             findings: order::findings(frames, alone, &rig.cameras, camera),
+            mean_error: None,
             times: None,
         })
         .collect();
@@ -270,6 +274,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             // Errors behind the camera are infinite.
             row.error_px = Some(fit.px).filter(|px| px.is_finite());
             row.agreeing_percent = Some(100.0 * fit.share);
+            row.mean_error = Some(fit.mean);
         }
         // A camera whose frames are wrong by themselves disagrees because of that.
         if let Some(finding) = findings[camera].as_ref().filter(|_| row.findings.is_empty()) {

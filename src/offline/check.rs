@@ -11,7 +11,6 @@ use crate::diagnose::{Check, Evidence};
 /// # Errors
 /// The recording cannot be read, or its capture times are not in nanoseconds.
 pub fn check(recording: &mut Recording, observer: &mut dyn Observer) -> Result<Check, Error> {
-    recording.forget_corrections();
     let rig = recording.rig().clone();
     let period = recording.frame_period(&rig)?;
     let mut evidence = Evidence::new(rig.clone(), Config::default(), period);

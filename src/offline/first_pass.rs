@@ -20,8 +20,10 @@ use crate::core::time::Nanos;
 use crate::core::tracker::{self, BodyEstimator, Effort, EventKind, FramePeriod, Output, Tracker};
 use crate::diagnose::{CameraCheck, Evidence};
 
-/// Wrong times are corrected so often.
-const CORRECTIONS: usize = 2;
+/// Wrong times are corrected, or corrections undone, at most so often.
+const CORRECTIONS: usize = 4;
+/// A correction must lower the mean error of its camera below this part.
+const LOWERED: f64 = 0.9;
 
 /// Most frames that wait for their poses.
 const WAITING: usize = 8192;
@@ -147,6 +149,19 @@ struct Followed {
     best: State,
 }
 
+/// What was done to the times of a camera.
+#[derive(Clone, Default)]
+struct Corrected {
+    /// By how much they were late.
+    late: Nanos,
+    /// What else was wrong.
+    notes: Vec<String>,
+    /// The mean error of the camera before a correction that is not confirmed.
+    error_before: Option<f64>,
+    /// Whether a correction was undone.
+    is_right: bool,
+}
+
 impl FirstPass {
     /// Streams a recording through the tracker and adds the significant time offsets to the cameras.
     /// If a camera of the rig is shifted, or the given body is wrong, the recording is streamed again.
@@ -158,7 +173,6 @@ impl FirstPass {
         held_out: &mut [Camera],
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
-        recording.forget_corrections();
         let mut body = options.body.as_ref();
         let mut once = |recording: &mut Recording, body, rig: &Rig, held_out: &[Camera]| {
             let driver = driver(options, body, recording.frames(), rig, period)?;
@@ -167,6 +181,15 @@ impl FirstPass {
             Ok::<_, Error>(pass)
         };
         let mut pass = once(recording, body, rig, held_out)?;
+        // Large faults of clocks first, by what the cameras saw. One may hide another.
+        let mut corrected = vec![Corrected::default(); pass.cameras.len()];
+        let corrections = if options.no_sync { 0 } else { CORRECTIONS };
+        for _ in 0..corrections {
+            if !pass.correct_times(recording, rig, held_out, &mut corrected) {
+                break;
+            }
+            pass = once(recording, body, rig, held_out)?;
+        }
         let mut is_body_wrong = pass.is_body_wrong;
         if is_body_wrong && body.is_some() {
             // An estimate from the whole recording is better than one from the rest of it.
@@ -176,40 +199,12 @@ impl FirstPass {
         if options.no_sync {
             return Ok(Self { is_body_wrong, ..pass });
         }
-        // Large faults first, by what the cameras saw. One may hide another.
-        let offsets_before: Vec<_> =
-            rig.cameras.iter().chain(&*held_out).map(|camera| camera.time_offset).collect();
-        let (mut late, mut notes) = (vec![Nanos::ZERO; pass.cameras.len()], Vec::new());
-        let mut corrected: Vec<(usize, Option<f64>)> = Vec::new();
-        for round in 0..=CORRECTIONS {
-            let checks = pass.checks(rig.cameras.len());
-            let is_no_better =
-                |(camera, share): &(usize, _)| checks[*camera].agreeing_percent <= *share;
-            if corrected.iter().any(is_no_better) {
-                // The times were right.
-                recording.forget_corrections();
-                let all = rig.cameras.iter_mut().chain(&mut *held_out);
-                all.zip(&offsets_before).for_each(|(camera, before)| camera.time_offset = *before);
-                (late, notes) = (vec![Nanos::ZERO; pass.cameras.len()], Vec::new());
-                pass = once(recording, body, rig, held_out)?;
-                break;
-            }
-            if round == CORRECTIONS {
-                break;
-            }
-            let all = (&mut *rig, &mut *held_out);
-            corrected = pass.correct_times(recording, all, &checks, (&mut late, &mut notes));
-            if corrected.is_empty() {
-                break;
-            }
-            pass = once(recording, body, rig, held_out)?;
-            is_body_wrong |= pass.is_body_wrong;
-        }
-        let (offsets, are_shifted) = pass.apply_time_offsets(rig, held_out, &late);
+        let (offsets, are_shifted) = pass.apply_time_offsets(rig, held_out, &corrected);
         if are_shifted {
             pass = once(recording, body, rig, held_out)?;
             is_body_wrong |= pass.is_body_wrong;
         }
+        let notes = corrected.into_iter().flat_map(|one| one.notes).collect();
         Ok(Self { offsets, is_body_wrong, notes, ..pass })
     }
 
@@ -329,7 +324,7 @@ impl FirstPass {
         longest.map_or_else(none, |(performer, one)| (performer, one.tracks.clone()))
     }
 
-    /// The judgement on each camera. The held-out ones, which follow the `solved` ones, are not witnesses.
+    /// The judgement on each camera. The held-out ones, which follow the `solved` ones, do not judge these.
     fn checks(&self, solved: usize) -> Vec<CameraCheck> {
         let of_first = |cameras: usize| {
             let cameras = self.cameras[..cameras].to_vec();
@@ -342,48 +337,57 @@ impl FirstPass {
         all
     }
 
-    /// Corrects the wrong times that the checks found. Adds by how much the times of each camera were late, and notes on
-    /// what else was wrong. Returns the corrected cameras, with the share of their points that agreed.
+    /// Corrects the wrong times that a check finds, and undoes corrections after which a camera fits no better. Returns
+    /// whether anything has changed.
     fn correct_times(
         &self,
         recording: &mut Recording,
-        (rig, held_out): (&mut Rig, &mut [Camera]),
-        checks: &[CameraCheck],
-        (late, notes): (&mut [Nanos], &mut Vec<String>),
-    ) -> Vec<(usize, Option<f64>)> {
+        rig: &mut Rig,
+        held_out: &mut [Camera],
+        corrected: &mut [Corrected],
+    ) -> bool {
+        let checks = self.checks(rig.cameras.len());
         let period = self.periods.first().copied().unwrap_or_default();
         let nearest = Nanos::rounded(period * OFFSET_REACH as f64);
-        let mut corrected = Vec::new();
+        let mut has_changed = false;
         let cameras = rig.cameras.iter_mut().chain(held_out);
-        for (at, ((row, late), camera)) in checks.iter().zip(late).zip(cameras).enumerate() {
-            let Some(wrong) = row.times else { continue };
+        for ((row, one), camera) in checks.iter().zip(corrected).zip(cameras) {
+            let error = row.mean_error.unwrap_or(f64::INFINITY);
+            if one.error_before.take().is_some_and(|before| error > LOWERED * before) {
+                recording.forget_corrections_of(&row.camera);
+                camera.time_offset = camera.time_offset + one.late;
+                *one = Corrected { is_right: true, ..Corrected::default() };
+                has_changed = true;
+            }
+            let Some(wrong) = row.times.filter(|_| !one.is_right) else { continue };
             match wrong.late() {
-                // The performer's motion tells small ones more exactly, see below.
+                // The performer's motion tells small ones more exactly.
                 Some(by) if by.abs() <= nearest => continue,
                 Some(by) => {
-                    *late = *late + by;
+                    one.late = one.late + by;
                     camera.time_offset = camera.time_offset - by;
                 }
                 None => {
                     recording.correct(&row.camera, wrong);
                     let what = row.findings.iter().map(|finding| &*finding.what);
                     let what: String = what.collect::<Vec<_>>().join("; ");
-                    notes.push(format!("camera {}: {what}", row.camera));
+                    one.notes.push(format!("camera {}: {what}", row.camera));
                 }
             }
-            corrected.push((at, row.agreeing_percent));
+            one.error_before = Some(error);
+            has_changed = true;
         }
-        corrected
+        has_changed
     }
 
     /// Estimates the time offsets, and adds the significant ones to the cameras: those of the rig
-    /// from their own views, then those of held-out cameras relative to them. `late` is what was corrected before. Also
+    /// from their own views, then those of held-out cameras relative to them. `corrected` is what was done before. Also
     /// returns whether a camera of the rig was shifted.
     fn apply_time_offsets(
         &self,
         rig: &mut Rig,
         held_out: &mut [Camera],
-        late: &[Nanos],
+        corrected: &[Corrected],
     ) -> (Vec<CameraOffset>, bool) {
         let (performer, tracks) = self.tracks();
         let Some(period) = self.periods.get(performer) else { return (Vec::new(), false) };
@@ -400,8 +404,8 @@ impl FirstPass {
         for (camera, found) in rig.cameras.iter_mut().chain(held_out).zip(&found) {
             camera.time_offset = camera.time_offset + found.applied();
         }
-        let all = self.cameras.iter().zip(&found).zip(late);
-        let all = all.map(|((camera, found), late)| {
+        let all = self.cameras.iter().zip(&found).zip(corrected);
+        let all = all.map(|((camera, found), Corrected { late, .. })| {
             let found = if *late == Nanos::ZERO { *found } else { found.after(-*late) };
             CameraOffset::new(camera, &found, period)
         });

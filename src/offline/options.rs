@@ -60,7 +60,7 @@ pub struct Options {
 
 impl Options {
     /// How often the recording is read: a first pass estimates the body and the time offsets, if the
-    /// body is not switched off. It is repeated if a camera is shifted.
+    /// body is not switched off. It is repeated if the times of a camera, or the given body, are wrong.
     pub fn passes(&self) -> u64 {
         1 + u64::from(self.config.body_windows > 0)
     }
@@ -72,8 +72,8 @@ impl Options {
 
 /// Observer of a solve; `()` ignores everything.
 pub trait Observer {
-    /// A message of the recording was read. This happens [`Options::passes`] times for each,
-    /// or once more. Poses follow some hundred messages later. A break ends the solve with [`Error::Stopped`](super::Error::Stopped).
+    /// A message of the recording was read. This happens [`Options::passes`] times for each, or more often if times
+    /// are corrected. Poses follow some hundred messages later. A break ends the solve with [`Error::Stopped`](super::Error::Stopped).
     fn message(&mut self) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }

@@ -213,9 +213,9 @@ impl Recording {
         rig
     }
 
-    /// Forgets corrections of capture times.
-    pub(crate) fn forget_corrections(&mut self) {
-        self.wrong_times.clear();
+    /// Forgets the corrections of a camera's capture times.
+    pub(crate) fn forget_corrections_of(&mut self, camera: &str) {
+        self.wrong_times.remove(camera);
     }
 
     /// Corrects the capture times of a camera from the next pass on.
@@ -230,7 +230,7 @@ impl Recording {
         (!silent.is_empty()).then(note)
     }
 
-    /// Measures the frame rate of the cameras of `rig` on their first frames.
+    /// Measures the frame rate of the cameras of `rig` on their first frames. Forgets all corrections of capture times.
     ///
     /// # Errors
     /// Capture times that are not in nanoseconds.
@@ -238,6 +238,7 @@ impl Recording {
         let cameras = rig.cameras.len();
         let mut rate = FrameRate::new(cameras);
         let mut checks = vec![(0, UnitCheck::default()); cameras];
+        self.wrong_times.clear();
         self.reader.rewind()?;
         while let Some(entry) = self.reader.next() {
             let Message::Keypoints(frame) = entry?.message else { continue };

@@ -211,7 +211,6 @@ fn prepare(
     let held_out = options.hold_out.iter().map(|name| recording.camera(name).cloned());
     let mut held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
     let mut rig = recording.chosen(&options.cameras, &held_out)?;
-    recording.forget_corrections();
     let period = recording.frame_period(&rig)?;
     let (mut bodies, mut offsets, mut is_body_wrong) =
         (vec![options.body.clone()], Vec::new(), false);

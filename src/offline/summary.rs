@@ -161,6 +161,9 @@ impl Group {
             Some((name, value))
         };
         let mut rows: Vec<_> = rows.into_iter().filter_map(in_words).collect();
+        // They are the same for all.
+        let first = self.performers.first();
+        rows.extend(first.into_iter().flat_map(|one| one.summary.offset_rows()));
         if let Some(found) = &self.scores {
             let PerformerScores { recall_percent, precision_percent, id_switches, .. } = found;
             let who = format!("{recall_percent:.2} %, {precision_percent:.2} %, {id_switches}");
@@ -259,8 +262,7 @@ impl Summary {
         for (camera, error) in &self.reprojection.cameras {
             rows.add(&format!("  {camera}"), px(*error));
         }
-        let shifted = self.time_offsets.iter().filter(|offset| offset.applied);
-        shifted.for_each(|offset| rows.add_time_offset(offset));
+        rows.0.extend(self.offset_rows());
         self.hold_out_cameras.iter().for_each(|held| rows.add_hold_out(held));
         if let Some(all) = self.hold_out.as_ref().filter(|_| self.hold_out_cameras.len() > 1) {
             rows.add("hold-out, mean of the medians", px(all.median_px));
@@ -289,6 +291,12 @@ impl Summary {
         rows.0
     }
 
+    /// A row for each camera whose times were shifted.
+    fn offset_rows(&self) -> impl Iterator<Item = (String, String)> {
+        let shifted = self.time_offsets.iter().filter(|offset| offset.applied);
+        shifted.map(|found| (format!("time offset {}", found.camera), format!("{found}, applied")))
+    }
+
     fn events_in_words(&self) -> String {
         let happened = self.events.iter().filter(|(_, count)| **count > 0);
         let happened: Vec<String> =
@@ -304,10 +312,6 @@ struct Rows(Vec<(String, String)>);
 impl Rows {
     fn add(&mut self, name: &str, value: String) {
         self.0.push((name.to_owned(), value));
-    }
-
-    fn add_time_offset(&mut self, found: &CameraOffset) {
-        self.add(&format!("time offset {}", found.camera), format!("{found}, applied"));
     }
 
     fn add_hold_out(&mut self, held: &HoldOut) {

@@ -8,13 +8,16 @@ use bundlemocap::core::body::{Pose, Skeleton};
 use bundlemocap::core::camera::{Camera, Rig};
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::so3;
+use bundlemocap::core::stage::Performers;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Config, EventKind, Live, Output, Solver, Tracker, run_to_end};
 use bundlemocap::io::formats::{Convention, Up, read_calibration, write_calibration};
 use bundlemocap::io::recording::{Provenance, Writer};
 use bundlemocap::io::wire::Topics;
 use bundlemocap::offline::{self, CheckedCameras, Options, check_cameras, solve};
-use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use bundlemocap::research::synth::{
+    Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
+};
 use nalgebra::Vector3;
 
 const FPS: f64 = 60.0;
@@ -147,6 +150,42 @@ fn large_faults_of_clocks_are_corrected() {
         );
         assert!(wrong.check.unwrap().is_clean(), "{:?}", wrong.notes);
     }
+}
+
+#[test]
+fn a_camera_that_was_started_later_is_corrected_with_several_performers() {
+    let meeting = Meeting { people: 3, distance: None };
+    let rig = meeting.rig(4).unwrap();
+    let one = |person| {
+        let (skeleton, motion) = meeting.person(person, 2);
+        let mut one = Recording::new(rig.clone(), skeleton, motion);
+        (one.noise, one.frames, one.seed) = (Noise::clean(), 480, 3 + person as u64);
+        one
+    };
+    let crowd = Crowd::new((0..3).map(one).collect());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.mcap");
+    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(&rig, Timestamp::default()).unwrap();
+    for (mut frame, _) in crowd.detections() {
+        let camera = &rig.cameras[frame.camera];
+        let early = if frame.camera == 2 { 80.0 } else { 0.0 };
+        frame.capture = frame.capture + Nanos::rounded((100.0 - early) * 1e9 / FPS);
+        writer.keypoints(&frame, &camera.name, [camera.width, camera.height]).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut take = offline::Recording::open(&path).unwrap();
+    let options = Options { performers: Performers::Auto, ..Options::default() };
+    let solved = offline::solve_group(&mut take, &options, &mut ()).unwrap();
+    assert_eq!(solved.performers.len(), 3);
+    for one in &solved.performers {
+        let offset = one.summary.time_offsets[2].offset_frames.unwrap();
+        assert!((offset - 80.0).abs() < 0.5, "{offset}");
+        let px = one.summary.reprojection.cameras["cam03"].unwrap();
+        assert!(px < 3.0, "{}: {px}", one.performer);
+    }
+    let rows = solved.rows();
+    assert!(rows.iter().any(|(name, _)| name == "time offset cam03"), "{rows:?}");
 }
 
 #[test]

@@ -248,7 +248,7 @@ pub enum ImportError {
     },
     /// The videos of the cameras have different frame rates, hertz.
     #[error(
-        "{} has {hz:.3} frames a second, {} has {other:.3}; give the detections' frame rate (--fps 60; beside it --fps CAMERA=30 for one camera)",
+        "{} has {hz:.3} frames a second, {} has {other:.3}; give the detections' frame rate (--fps 60, and --fps CAMERA=30 for a camera with another rate)",
         path.display(), second.display()
     )]
     FrameRates {
