@@ -85,7 +85,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         one.applied && one.offset_frames.is_some_and(|frames| frames.abs() > OFFSET_REACH as f64)
     };
     if arguments.out.is_some() && found.offsets.iter().any(is_far) {
-        let note = "offsets of many frames may hold for this take alone: its cameras were started at different times";
+        let note =
+            "the offsets of cameras that were started at different times hold for this take alone";
         complain("note", note);
     }
     if arguments.json {

@@ -24,9 +24,9 @@ principal point or distortion, and a camera that was turned or moved. If a fault
 the recording, the time is named. Faults of the whole recording are named too: its scale, up axis,
 keypoint order, shuffled or repeated frames.
 
-With two cameras it is not known which one is wrong: what would make them agree is listed. If only
-capture times that are shifted do, one of the two is named. A camera must be off by about 2 % of the
-performer's height to be named, a clock by about 1 %.
+With two cameras it is not known which one is wrong: what would make them agree is listed. If that is
+only a shift of the capture times, one of the two is named. An error is named from about 2 % of the
+performer's height on, an error of a clock from about 1 %.
 
 Exit code 15: with --strict, something is wrong.
 

@@ -68,8 +68,8 @@ pub(super) struct Arguments {
     #[arg(long)]
     calibration: PathBuf,
     /// Frame rate of the cameras, 1 to 1000 Hz; a number, or a ratio such as 60000/1001. Without it, by
-    /// Pose2Sim's Config.toml, or by the MP4 videos beside the detections. Again as CAMERA=FPS for a camera with
-    /// another rate.
+    /// Pose2Sim's Config.toml, or by the MP4 videos beside the detections. Also CAMERA=FPS, for a camera with another
+    /// rate.
     #[arg(long, value_parser = rate, allow_negative_numbers = true, value_name = "FPS")]
     fps: Vec<(Option<String>, f64)>,
     /// Order of the points: body_25, body_25b, coco_17, halpe_26, coco_wholebody_133, mediapipe_33,

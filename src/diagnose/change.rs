@@ -1,7 +1,7 @@
 //! Faults that begin or end during the recording: a camera that is bumped, or loses frames.
 
 use super::clock::is_of_clock;
-use super::consensus::{FAR, Scene};
+use super::consensus::{FAR, Scene, capped_mean};
 use super::hypotheses::{Finding, Hypothesis};
 use super::judge::{Beside, Judged, explained, fits};
 use super::times::{Only, WrongTimes};
@@ -24,8 +24,8 @@ struct Split {
     is_first_bad: bool,
 }
 
-/// Looks for faults of parts of the recording, where none or a worse one of the whole was found. `scene` is that without
-/// any fault undone. Returns what is wrong with the times of each camera.
+/// Looks for faults of a part of the recording. They replace faults of the whole recording that explain less. In `scene`
+/// no fault is undone. Returns what is wrong with the times of each camera.
 pub(super) fn find(
     scene: &Scene,
     judged: &mut Judged,
@@ -87,26 +87,18 @@ fn fault(
     };
     let then = scene.errors(camera, &hypothesis.reading, &points);
     let undone = scene.errors(camera, &judged.scene.readings[camera], &points);
-    let whole = [&then, &undone].map(|errors| mean(&capped(errors)));
+    let mean = |errors: &[Option<f64>]| capped_mean(errors.iter().flatten().copied());
     let (left, split) = split(&now, &then)?;
-    let before = mean(&capped(&now));
-    let is_better = whole.into_iter().chain([before]).all(|whole| left < LOWERED * whole);
-    is_better.then(|| (before - left, described(scene, split, camera, hypothesis)))
-}
-
-/// The errors at instants that have some, up to [`FAR`].
-fn capped(errors: &[Option<f64>]) -> Vec<(usize, f64)> {
-    let all = errors.iter().enumerate();
-    all.filter_map(|(at, error)| Some((at, (*error)?.min(FAR)))).collect()
-}
-
-fn mean(errors: &[(usize, f64)]) -> f64 {
-    errors.iter().map(|(_, error)| error).sum::<f64>() / errors.len().max(1) as f64
+    let before = mean(&now);
+    let whole = before.min(mean(&then)).min(mean(&undone));
+    (left < LOWERED * whole).then(|| (before - left, described(scene, split, camera, hypothesis)))
 }
 
 /// The two parts that differ most, if one is much worse.
 fn bad_part(errors: &[Option<f64>]) -> Option<Split> {
-    let seen = capped(errors);
+    let all = errors.iter().enumerate();
+    let seen: Vec<_> = all.filter_map(|(at, error)| Some((at, (*error)?))).collect();
+    let mean = |part: &[(usize, f64)]| capped_mean(part.iter().map(|(_, error)| *error));
     let last = seen.len().checked_sub(LEAST_PART)?;
     let differ = |k: usize| {
         let (first, second) = seen.split_at(k);
@@ -121,8 +113,7 @@ fn bad_part(errors: &[Option<f64>]) -> Option<Split> {
     (mean(bad) > TIMES_WORSE * mean(good)).then_some(split)
 }
 
-/// The two parts of which one has the least errors `now` and the other one `then`, without a fault, and the mean of
-/// these errors.
+/// The best split: one part keeps its errors `now`, the bad one has those `then`, without the fault. Also the mean error.
 fn split(now: &[Option<f64>], then: &[Option<f64>]) -> Option<(f64, Split)> {
     let both: Vec<(usize, f64, f64)> = std::iter::zip(now, then)
         .enumerate()
@@ -161,7 +152,7 @@ fn described(scene: &Scene, split: Split, camera: usize, hypothesis: Hypothesis)
         let finding = Finding::new(
             cause,
             format!("about {count} frames were {word} at about {seconds:.1} s"),
-            "give its frames the numbers or times at which they were captured",
+            "correct the numbers or the capture times of its frames",
         );
         // Between the last frame of the first part and the first one of the second part.
         let at = middle - reading.camera.time_offset + Nanos::new(late.ns() / 2);

@@ -1,7 +1,7 @@
 //! Faults of a camera's clock: it is early or late, or too fast or too slow.
 
 use super::consensus::{Points, Scene};
-use super::hypotheses::{Finding, Hypothesis};
+use super::hypotheses::{EXPLAINED, Finding, Hypothesis, OF_MANY};
 use super::reading::Reading;
 use super::times::Clock;
 use crate::core::points::median;
@@ -21,12 +21,11 @@ const MOST_DRIFT: f64 = 0.1;
 const SEEN: f64 = 0.35;
 /// The instants that lose theirs must be this bad now, beside the others: they must not be the good ones.
 const AS_BAD: f64 = 0.5;
-/// A fault explains an error if the error without it is below this part.
-pub(super) const EXPLAINED: f64 = 0.55;
-/// Weights as in [`Hypothesis`], of near shifts, of drifts and of other clocks.
+/// Weights as in [`Hypothesis`], of near shifts, of drifts and of other clocks. Only the last are [`OF_MANY`].
 const NEAR_WEIGHT: f64 = 1.05;
 const DRIFT_WEIGHT: f64 = 1.19;
 const WEIGHT: f64 = 1.3;
+const _: () = assert!(DRIFT_WEIGHT < OF_MANY && WEIGHT >= OF_MANY);
 
 /// Frames whose capture times are late or early by up to [`NEAR`] frames.
 pub(super) fn shifts(reading: &Reading, period: Nanos) -> impl Iterator<Item = Hypothesis> {

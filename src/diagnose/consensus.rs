@@ -286,7 +286,7 @@ impl<'a> Scene<'a> {
             (near, all) = (near + best.2[0], all + best.2[1]);
         }
         let frames = relative.len();
-        let mean = relative.iter().map(|error| error.min(FAR)).sum::<f64>() / frames.max(1) as f64;
+        let mean = capped_mean(relative.iter().copied());
         let (error, px) = median(&mut relative).zip(median(&mut px))?;
         let share = near as f64 / all.max(1) as f64;
         (frames >= LEAST_INSTANTS.min(self.instants.len())).then_some(Fit {
@@ -350,6 +350,12 @@ impl<'a> Scene<'a> {
         };
         self.instants.iter().zip(points).flat_map(at).collect()
     }
+}
+
+/// The mean of errors; those above [`FAR`] count as that. 0 without errors.
+pub(super) fn capped_mean(errors: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = errors.fold((0.0, 0.0), |(sum, n), error| (sum + error.min(FAR), n + 1.0));
+    sum / f64::max(count, 1.0)
 }
 
 /// The median distance of a view from points, as a fraction of the smaller one's height in the image

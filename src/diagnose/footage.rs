@@ -208,9 +208,9 @@ impl Footage {
     }
 
     /// `count` times of one camera, on the clock of the rig: a third evenly spread, the others where
-    /// the performer moves most, which shows errors of time; of a long recording as many more, at its start. Of the cameras that have time in common
-    /// with the most others, the one with the most frames is taken: another one may have a clock of
-    /// its own.
+    /// the performer moves most, which shows errors of time. A long recording has as many more at its
+    /// start. Of the cameras that have time in common with the most others, the one with the most
+    /// frames is taken: another one may have a clock of its own.
     pub(super) fn instants(&self, count: usize, cameras: &[Camera]) -> Vec<Timestamp> {
         let spans = self.spans(cameras);
         let common = |own: [Timestamp; 2]| {

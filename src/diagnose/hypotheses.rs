@@ -27,6 +27,11 @@ impl Finding {
     }
 }
 
+/// A fault explains an error if the error without it is below this part.
+pub(super) const EXPLAINED: f64 = 0.55;
+/// The weight from which on a fault is one of very many, or has several free parameters: it needs more evidence.
+pub(super) const OF_MANY: f64 = 1.2;
+
 /// A fault, and the reading without it.
 #[derive(Clone, Debug)]
 pub(super) struct Hypothesis {

@@ -1,8 +1,8 @@
 //! Finds the faults: the reading of each camera with which most cameras agree.
 
-use super::clock::{self, EXPLAINED, is_of_clock};
+use super::clock::{self, is_of_clock};
 use super::consensus::{Consensus, Fit, Points, Scene};
-use super::hypotheses::{self, Finding, Hypothesis};
+use super::hypotheses::{self, EXPLAINED, Finding, Hypothesis, OF_MANY};
 use super::performer;
 use super::placement;
 use super::reading::Reading;
@@ -23,6 +23,8 @@ const WRONG: f64 = 0.06;
 const TIMES_OTHERS: f64 = 2.5;
 /// The same beside two others, whose own errors say little.
 const WRONG_OF_THREE: f64 = 0.12;
+/// Heights of the performer with which two cameras may agree, metres.
+const HEIGHTS_M: std::ops::Range<f64> = 1.2..2.3;
 /// Two cameras disagree above this error of each.
 const DISAGREE: f64 = 0.05;
 /// [`FITS`] and [`GAIN`] of clocks: a performer who hardly moves shows little of them.
@@ -74,7 +76,6 @@ pub(super) fn judge<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<
     let n = scene.cameras();
     let is_seen = |camera: &usize| scene.views.iter().any(|at| !at[*camera].is_empty());
     let seen: Vec<usize> = (0..n).filter(is_seen).collect();
-    let two = || <[usize; 2]>::try_from(&seen[..]).ok();
     if n == 2 {
         return pair(scene, cameras, [0, 1]);
     }
@@ -96,9 +97,9 @@ pub(super) fn judge<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<
     }));
     let judged = found.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()));
     let finds = |one: &Judged| !one.general.is_empty() || one.findings.iter().any(Option::is_some);
-    match two() {
+    match seen[..] {
         // Other cameras have no images. These two may be theirs.
-        Some(two) if !judged.as_ref().is_some_and(finds) => pair(scene, cameras, two),
+        [a, b] if !judged.as_ref().is_some_and(finds) => pair(scene, cameras, [a, b]),
         _ => judged,
     }
 }
@@ -188,13 +189,12 @@ pub(super) fn explained(
         return None;
     }
     let (best, error) = explain(scene, camera, points, (usual, is_part), cameras)?;
-    // Far clocks are many.
-    let is_near_clock = is_of_clock(&best.finding) && best.weight < 1.2;
+    let is_near_clock = is_of_clock(&best.finding) && best.weight < OF_MANY;
     let (times, [least, most]) = GAIN_FREE;
     let gain = match best.weight {
         _ if is_near_clock => GAIN_IN_TIME,
         _ if is_of_clock(&best.finding) => GAIN,
-        weight if weight < 1.2 => GAIN,
+        weight if weight < OF_MANY => GAIN,
         _ => (times * of_best).clamp(least, most),
     };
     let is_explained =
@@ -326,7 +326,7 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
         let text = format!("camera {}: {what} ({fix})", cameras[camera].name);
         let shift = Some((camera, hypothesis.clone())).filter(|_| is_of_clock(&hypothesis.finding));
         let option = Alternative { error: error * hypothesis.weight, text, consensus, shift };
-        (is_explained && (1.2..2.3).contains(&height)).then_some(option)
+        (is_explained && HEIGHTS_M.contains(&height)).then_some(option)
     };
     let mut options = Vec::new();
     for camera in two {
@@ -356,7 +356,7 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
     if let Some(Judged { consensus, general, scene: tried, .. }) = of_both
         && let Some((error, height, _)) = error(&tried)
         && error < FITS
-        && (1.2..2.3).contains(&height)
+        && HEIGHTS_M.contains(&height)
         && let Some(Finding { what, fix, .. }) = general.first()
     {
         let text = format!("{what} ({fix})");

@@ -6,7 +6,7 @@
 //! that makes it agree is named. If the cameras that agree are no majority, exchanged calibrations and
 //! faults of all cameras are tried too. The fewest faults win that make most cameras agree on a performer
 //! of human size, upright, with feet forwards. With two cameras nothing tells which one is wrong; all
-//! that makes them agree is listed. If that is a shift of the times alone, it is the fault of one of them.
+//! that makes them agree is listed. If that is only a shift of the capture times, one of the two is named.
 //!
 //! [`Evidence`] is of one performer at some instants. Of several people, each camera's detection of the
 //! performer is used; where there is none, everybody who is nobody else is kept, because a wrong camera

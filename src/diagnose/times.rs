@@ -2,7 +2,7 @@
 
 use crate::core::time::{Nanos, Timestamp};
 
-/// The clock of a camera beside the right one.
+/// The clock of a camera beside the right one. Times are capture times, before the camera's time offset is added.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Clock {
     /// Its times are too late by this.
@@ -28,6 +28,7 @@ impl Clock {
         self.rate.map_or(own, run)
     }
 
+    /// A clock that is late by so much more.
     pub(super) fn later(self, late: Nanos) -> Self {
         Self { late: self.late + late, ..self }
     }
@@ -55,7 +56,7 @@ impl WrongTimes {
         is_shift.then_some(self.clock.late)
     }
 
-    /// The right capture time.
+    /// The right capture time of a frame.
     pub(crate) fn corrected(&self, capture: Timestamp) -> Timestamp {
         let is_wrong = self.only.is_none_or(|(at, only)| (capture < at) == (only == Only::Before));
         if is_wrong { self.clock.corrected(capture) } else { capture }

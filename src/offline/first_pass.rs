@@ -11,7 +11,7 @@ use super::driver::{Driver, State, Step};
 use super::options::{Observer, Options};
 use super::recording::{Item, Recording};
 use crate::core::body::{Skeleton, TrackingState};
-use crate::core::calibration::{self, Correction, OFFSET_REACH, OffsetVerdict, TimeOffset, Tracks};
+use crate::core::calibration::{self, OFFSET_REACH, OffsetVerdict, TimeOffset, Tracks};
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost;
 use crate::core::detections::Detections;
@@ -317,7 +317,7 @@ impl FirstPass {
     }
 
     /// The performer who was tracked longest, and their views.
-    fn tracks(&self) -> (usize, Tracks) {
+    pub(super) fn tracks(&self) -> (usize, Tracks) {
         let all = self.followed.iter().enumerate().rev();
         let longest = all.max_by_key(|(_, one)| one.poses);
         let none = || (0, Tracks::new(self.cameras.len()));
@@ -414,16 +414,6 @@ impl FirstPass {
     }
 }
 
-/// A camera's small correction.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CameraCorrection {
-    /// The camera.
-    pub camera: String,
-    /// The correction.
-    #[serde(flatten)]
-    pub correction: Correction,
-}
-
 /// As `+1.0 ms (+0.06 ± 0.02 frames)`.
 impl fmt::Display for CameraOffset {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -433,49 +423,6 @@ impl fmt::Display for CameraOffset {
             None => write!(f, "± {error:.2} frames"),
         }
     }
-}
-
-/// The cameras of a recording checked against the performer's motion.
-#[derive(Clone, Debug)]
-pub struct CheckedCameras {
-    /// All cameras, with the significant offsets and corrections.
-    pub rig: Rig,
-    /// Their time offsets; none with [`Options::no_sync`].
-    pub offsets: Vec<CameraOffset>,
-    /// Their corrections, if asked for.
-    pub corrections: Vec<CameraCorrection>,
-    /// What else is wrong with their times; no calibration can correct it, [`solve`](super::solve) does.
-    pub notes: Vec<String>,
-}
-
-/// Estimates the time offsets of a recording's cameras and, if wanted, corrects the cameras after
-/// that.
-///
-/// # Errors
-/// As [`solve`](super::solve).
-pub fn check_cameras(
-    recording: &mut Recording,
-    options: &Options,
-    refine: bool,
-    observer: &mut dyn Observer,
-) -> Result<CheckedCameras, Error> {
-    let mut rig = recording.chosen(&options.cameras, &[])?;
-    let period = recording.frame_period(&rig)?;
-    let pass = FirstPass::run(recording, options, &mut rig, period, &mut [], observer)?;
-    pass.lead(recording)?;
-    let mut corrections = Vec::new();
-    if refine {
-        let found;
-        (rig.cameras, found) = calibration::refine(&pass.tracks().1, &rig.cameras);
-        let all = rig.cameras.iter().zip(found);
-        let named = |(camera, correction): (&Camera, _)| CameraCorrection {
-            camera: camera.name.clone(),
-            correction,
-        };
-        corrections = all.map(named).collect();
-    }
-    let rig = recording.rig_with(rig.cameras.iter());
-    Ok(CheckedCameras { rig, offsets: pass.offsets, corrections, notes: pass.notes })
 }
 
 #[cfg(test)]

@@ -13,10 +13,12 @@
 //!
 //! Memory does not grow with the recording's length: poses are written and compared one by one,
 //! errors are counted in [`Distribution`](crate::metrics::Distribution)s, and the plots of the
-//! report average over time beyond 4096 values.
+//! report average over time beyond 4096 values. Where capture times are corrected, frames wait for those of other
+//! cameras, at most 50,000 of them.
 
 mod body;
 pub(crate) mod bvh;
+mod calibrate;
 mod camera_states;
 mod check;
 mod collected;
@@ -40,11 +42,10 @@ mod truth;
 mod windows;
 
 pub use body::{TakeBody, estimate_body};
+pub use calibrate::{CameraCorrection, CheckedCameras, check_cameras};
 pub use check::check;
 pub use error::Error;
-pub use first_pass::{
-    CameraCorrection, CameraOffset, CheckedCameras, check_cameras, first_pass_settings,
-};
+pub use first_pass::{CameraOffset, first_pass_settings};
 pub use hold_out::{HeldOut, HoldOut, Located, differences, distances, pose_at};
 pub use motion::{Motion, read_motions};
 pub use options::{NewCompanion, Observer, Options};

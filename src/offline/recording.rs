@@ -12,7 +12,7 @@ use super::in_order::InOrder;
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
-use crate::core::time::{Nanos, Timestamp};
+use crate::core::time::Timestamp;
 use crate::core::tracker::{FramePeriod, FrameRate, RATE_FRAMES, UnitCheck};
 use crate::diagnose::WrongTimes;
 use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
@@ -48,17 +48,6 @@ pub(crate) enum Item {
     TrueBody(String, Box<Skeleton>),
     /// An actor's true pose.
     TruePose(String, Box<StampedPose>),
-}
-
-impl Item {
-    /// Of a frame, the number of its camera. Held-out cameras follow the `solved` ones.
-    fn camera(&self, solved: usize) -> Option<usize> {
-        match self {
-            Self::Detections(frame, _) => Some(frame.camera),
-            Self::HeldOut(frame, _) => Some(solved + frame.camera),
-            Self::TrueBody(..) | Self::TruePose(..) => None,
-        }
-    }
 }
 
 impl Recording {
@@ -269,28 +258,28 @@ impl Recording {
         mut take: impl FnMut(Item) -> Result<(), Error>,
     ) -> Result<Report, Error> {
         self.reader.rewind()?;
-        let offsets = rig.cameras.iter().chain(held_out).map(|camera| camera.time_offset);
-        let offsets: Vec<_> = offsets.collect();
+        // The held-out cameras follow the others.
+        let cameras: Vec<&Camera> = rig.cameras.iter().chain(held_out).collect();
+        let offsets: Vec<_> = cameras.iter().map(|camera| camera.time_offset).collect();
         // Otherwise they keep the order of the recording.
         let is_corrected = !self.wrong_times.is_empty();
         let sorts = is_corrected || offsets.iter().any(|offset| *offset != offsets[0]);
         let mut in_order = InOrder::new(&offsets, !is_corrected);
-        let offset = |name: &str| {
-            let camera = rig.cameras.iter().chain(held_out).find(|camera| camera.name == name);
-            camera.map_or(Nanos::ZERO, |camera| camera.time_offset)
-        };
         while let Some(entry) = self.reader.next() {
             let mut entry = entry?;
+            let mut index = None;
             if each_message().is_break() {
                 return Err(Error::Stopped { path: self.path().to_owned() });
             }
             let captured = match &mut entry.message {
                 Message::Keypoints(frame) => {
+                    index = cameras.iter().position(|camera| camera.name == frame.camera);
+                    let Some(index) = index else { continue };
                     let own = Timestamp::from_ns(frame.capture_time_ns);
                     let wrong = self.wrong_times.get(&frame.camera).into_iter().flatten();
                     let right = wrong.fold(own, |time, wrong| wrong.corrected(time));
                     frame.capture_time_ns = right.ns();
-                    Some(right + offset(&frame.camera))
+                    Some(right + offsets[index])
                 }
                 Message::TruthPose(pose) => Some(Timestamp::from_ns(pose.capture_time_ns)),
                 _ => None,
@@ -303,17 +292,13 @@ impl Recording {
             }
             let item = match entry.message {
                 Message::Keypoints(frame) => {
-                    let mut names = held_out.iter().map(|camera| &camera.name);
-                    let percent = in_percent(&frame);
-                    if let Some(camera) = rig.index_of(&frame.camera) {
-                        let frame = frame.to_core(|_| Some(camera));
-                        frame.map(|frame| Item::Detections(frame, percent))
-                    } else if let Some(camera) = names.position(|name| *name == frame.camera) {
-                        let frame = frame.to_core(|_| Some(camera));
-                        frame.map(|frame| Item::HeldOut(frame, percent))
-                    } else {
-                        continue;
-                    }
+                    let (percent, solved) = (in_percent(&frame), rig.cameras.len());
+                    let held_out = index.and_then(|index| index.checked_sub(solved));
+                    let frame = frame.to_core(|_| held_out.or(index));
+                    frame.map(|frame| match held_out {
+                        None => Item::Detections(frame, percent),
+                        Some(_) => Item::HeldOut(frame, percent),
+                    })
                 }
                 Message::TruthSkeleton(body) => {
                     let actor = Topic::actor(&entry.topic);
@@ -326,7 +311,7 @@ impl Recording {
                 _ => continue,
             };
             match item {
-                Ok(item) => match item.camera(rig.cameras.len()).zip(captured) {
+                Ok(item) => match index.zip(captured) {
                     Some((camera, captured)) if sorts => in_order.add(camera, captured, item),
                     _ => take(item)?,
                 },

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use bundlemocap::core::body::{Pose, Skeleton};
 use bundlemocap::core::camera::{Camera, Rig};
+use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::so3;
 use bundlemocap::core::stage::Performers;
@@ -62,17 +63,23 @@ fn stamped(
     let mut in_file = rig.clone();
     written(&mut in_file);
 
-    let path = folder.path().join("take.mcap");
-    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
-    writer.rig(&in_file, recording.start).unwrap();
-    for mut frame in recording.detections() {
-        let camera = &rig.cameras[frame.camera];
-        let Some(time) = time(frame.camera, frame.frame as f64) else { continue };
+    let frames = recording.detections().filter_map(|mut frame| {
+        let time = time(frame.camera, frame.frame as f64)?;
         frame.capture = Timestamp::default() + Nanos::rounded((time + 10.0) * 1e9 / FPS);
+        Some(frame)
+    });
+    write(&folder.path().join("take.mcap"), &in_file, frames);
+    Take { folder, rig }
+}
+
+fn write(path: &Path, rig: &Rig, frames: impl Iterator<Item = Detections>) {
+    let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(rig, Timestamp::default()).unwrap();
+    for frame in frames {
+        let camera = &rig.cameras[frame.camera];
         writer.keypoints(&frame, &camera.name, [camera.width, camera.height]).unwrap();
     }
     writer.finish().unwrap();
-    Take { folder, rig }
 }
 
 fn as_it_is(_: &mut Rig) {}
@@ -165,15 +172,12 @@ fn a_camera_that_was_started_later_is_corrected_with_several_performers() {
     let crowd = Crowd::new((0..3).map(one).collect());
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
-    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
-    writer.rig(&rig, Timestamp::default()).unwrap();
-    for (mut frame, _) in crowd.detections() {
-        let camera = &rig.cameras[frame.camera];
+    let frames = crowd.detections().map(|(mut frame, _)| {
         let early = if frame.camera == 2 { 80.0 } else { 0.0 };
         frame.capture = frame.capture + Nanos::rounded((100.0 - early) * 1e9 / FPS);
-        writer.keypoints(&frame, &camera.name, [camera.width, camera.height]).unwrap();
-    }
-    writer.finish().unwrap();
+        frame
+    });
+    write(&path, &rig, frames);
     let mut take = offline::Recording::open(&path).unwrap();
     let options = Options { performers: Performers::Auto, ..Options::default() };
     let solved = offline::solve_group(&mut take, &options, &mut ()).unwrap();
