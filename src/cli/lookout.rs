@@ -1,16 +1,19 @@
-//! What `run` says about its cameras: where they send if the node hears none, and whether they fit.
+//! What `run` says about its cameras: where they send if the node hears none, and whether they fit. Wrong clocks are
+//! corrected.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::clock::ATTENTION;
 use crate::cli::tools::inbox::Inbox;
 use crate::cli::tools::survey::{other_stages, survey};
-use crate::core::camera::Rig;
+use crate::core::camera::{Camera, Rig};
+use crate::core::time::Nanos;
 use crate::core::tracker::Config;
 use crate::diagnose::{Check, Evidence};
 use crate::io::bus::{Bus, BusError};
-use crate::io::wire::{self, KeypointFrame, Status, Topics, decode};
+use crate::io::wire::{self, KeypointFrame, Status, Take, Topics, decode};
 use crate::live::Monitor;
 
 /// If no camera was heard for this long, others are looked for, for so long, and again after a while.
@@ -23,7 +26,10 @@ const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
 const CHANCE: Duration = Duration::from_secs(30);
 
-/// Looks after the cameras of a node until it is over. Its thread gives way to all others. It ends soon
+/// A correction must lower the error of a camera to this part.
+const LOWERED: f64 = 0.9;
+
+/// Looks after the cameras of a node until it is over, and corrects their clocks if `corrects`. Its thread gives way to all others. It ends soon
 /// after: a running check, which may take seconds, has a thread of its own that nothing waits for.
 ///
 /// # Errors
@@ -32,12 +38,14 @@ pub(super) fn look(
     bus: &dyn Bus,
     topics: &Topics,
     node: &Monitor,
+    corrects: bool,
     is_over: impl Fn() -> bool,
 ) -> Result<(), BusError> {
     #[cfg(target_os = "linux")]
     let _ = rustix::process::nice(19);
     let mut at = Instant::now() + PATIENCE;
     let mut judged = None;
+    let mut clocks = Clocks::default();
     while !is_over() {
         std::thread::sleep(ATTENTION);
         let heard = |status: Status| status.cameras.iter().any(|camera| camera.age_s > 0.0);
@@ -51,8 +59,12 @@ pub(super) fn look(
         let Some(bytes) = node.rig().filter(|rig| Some(rig) != judged.as_ref()) else { continue };
         let rig = decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core());
         let Ok(rig) = rig else { continue };
+        if clocks.rig != bytes {
+            clocks = Clocks { rig: bytes.clone(), ..Clocks::default() };
+        }
         let goes_on = || !is_over() && node.rig().as_ref() == Some(&bytes);
-        if let Some(evidence) = watch(bus, topics, &rig, goes_on)? {
+        if let Some(evidence) = watch(bus, topics, &corrected(&rig, node), goes_on)? {
+            let rig = corrected(&rig, node);
             let check = std::thread::spawn(move || evidence.check(&rig));
             while !check.is_finished() {
                 if is_over() {
@@ -60,13 +72,74 @@ pub(super) fn look(
                 }
                 std::thread::sleep(ATTENTION);
             }
+            let mut orders = Vec::new();
             if let Ok(check) = check.join() {
                 say(&check);
+                if corrects {
+                    orders = clocks.orders(&check, &corrections(node));
+                }
             }
-            judged = Some(bytes);
+            // Corrected clocks are judged again.
+            judged = orders.is_empty().then_some(bytes);
+            orders.iter().for_each(|order| node.order(order));
         }
     }
     Ok(())
+}
+
+/// What the node adds to the capture times of its cameras, by name.
+fn corrections(node: &Monitor) -> BTreeMap<String, Nanos> {
+    let of = |camera: wire::CameraCounters| {
+        (camera.camera, Nanos::rounded(camera.time_correction_s * 1e9))
+    };
+    node.status().into_iter().flat_map(|status| status.cameras).map(of).collect()
+}
+
+/// The cameras, with the corrections in their time offsets.
+fn corrected(rig: &Rig, node: &Monitor) -> Rig {
+    let (mut rig, corrections) = (rig.clone(), corrections(node));
+    let by = |camera: &Camera| corrections.get(&camera.name).copied().unwrap_or_default();
+    let by: Vec<Nanos> = rig.cameras.iter().map(by).collect();
+    rig.shift_times(&by);
+    rig
+}
+
+/// The clocks of the cameras of a calibration: what was tried.
+#[derive(Default)]
+struct Clocks {
+    rig: Vec<u8>,
+    /// By name: the error before the correction, and the correction before it.
+    tried: BTreeMap<String, (f64, Nanos)>,
+    /// Cameras of which a correction was of no use.
+    are_right: Vec<String>,
+}
+
+impl Clocks {
+    /// What the node is to do after a check: it corrects capture times that are early or late, and takes back corrections
+    /// after which a camera fits no better.
+    fn orders(&mut self, check: &Check, corrections: &BTreeMap<String, Nanos>) -> Vec<Take> {
+        let mut orders = Vec::new();
+        for row in &check.cameras {
+            let error = row.mean_error.unwrap_or(f64::INFINITY);
+            let before = self.tried.remove(&row.camera);
+            let undone = before.filter(|(before, _)| error > LOWERED * before);
+            self.are_right.extend(undone.map(|_| row.camera.clone()));
+            let now = corrections.get(&row.camera).copied().unwrap_or_default();
+            let late = row.times.and_then(|wrong| wrong.late());
+            let late = late.filter(|_| !self.are_right.contains(&row.camera));
+            if late.is_some() {
+                self.tried.insert(row.camera.clone(), (error, now));
+            }
+            let wanted = undone.map(|(_, before)| before).or(late.map(|late| now - late));
+            orders.extend(wanted.map(|correction| Take {
+                action: "clock".to_owned(),
+                name: row.camera.clone(),
+                offset_ms: correction.ms(),
+                ..Take::default()
+            }));
+        }
+        orders
+    }
 }
 
 /// Says what is on the bus while no camera sends on this stage.
@@ -135,9 +208,55 @@ fn say(check: &Check) {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "research"))]
 mod tests {
     use super::*;
+    use crate::core::body::Skeleton;
+    use crate::research::synth::{Motion, MotionStyle, Recording, ring_rig};
+
+    const LATE: Nanos = Nanos::from_ms(100);
+
+    /// The check of four cameras, the second of which is late and has this correction.
+    fn check(correction: Nanos) -> Check {
+        let skeleton = Skeleton::default();
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let mut rig = ring_rig(4, 4.0, 1.6).unwrap();
+        let mut recording = Recording::new(rig.clone(), skeleton, |seconds| motion.pose(seconds));
+        (recording.fps, recording.frames) = (60.0, 480);
+        rig.shift_time(1, correction);
+        let mut evidence = Evidence::new(Arc::new(rig.clone()), Config::default(), None);
+        for mut frame in recording.detections() {
+            if frame.camera == 1 {
+                frame.capture = frame.capture + LATE;
+            }
+            evidence.add(&frame, 0);
+        }
+        evidence.check(&rig)
+    }
+
+    /// The corrections that are ordered, milliseconds, while the node has one of the second camera.
+    fn ordered(clocks: &mut Clocks, check: &Check, correction: Nanos) -> Vec<f64> {
+        let now = BTreeMap::from([("cam02".to_owned(), correction)]);
+        let orders = clocks.orders(check, &now);
+        let sound = |order: &Take| order.name == "cam02" && order.action == "clock";
+        assert!(orders.iter().all(sound), "{orders:?}");
+        orders.iter().map(|order| order.offset_ms.round()).collect()
+    }
+
+    #[test]
+    fn a_late_clock_is_corrected_and_a_correction_of_no_use_is_taken_back() {
+        let (late, right) = (check(Nanos::ZERO), check(Nanos::ZERO - LATE));
+        let mut clocks = Clocks::default();
+        assert_eq!(ordered(&mut clocks, &late, Nanos::ZERO), [-100.0]);
+        assert!(right.is_clean());
+        assert!(ordered(&mut clocks, &right, Nanos::ZERO - LATE).is_empty());
+
+        // It was of no use, and is not tried again.
+        let before = Nanos::from_ms(7);
+        assert_eq!(ordered(&mut clocks, &late, before), [-93.0]);
+        assert_eq!(ordered(&mut clocks, &late, before - LATE), [7.0]);
+        assert!(ordered(&mut clocks, &late, before).is_empty());
+    }
 
     #[test]
     fn cameras_that_just_begin_are_not_judged_yet() {

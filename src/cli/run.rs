@@ -167,7 +167,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let why = std::thread::scope(|scope| {
         let look_after_cameras = || {
             let is_over = || over.load(Ordering::Relaxed);
-            if let Err(error) = look(&*bus, &topics(&config), &node, is_over) {
+            if let Err(error) =
+                look(&*bus, &topics(&config), &node, config.node.time_offsets, is_over)
+            {
                 tracing::warn!("cannot look after the cameras: {error}");
             }
         };

@@ -22,7 +22,7 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(4);
 /// Wait for further answers once a node and a recorder have answered.
 const GRACE: Duration = Duration::from_millis(300);
 
-/// Begin or end a take, or write a note about it; name, choose, label or reset performers; mend a camera.
+/// Begin or end a take, or write a note about it; name, choose, label or reset performers; mend a camera or its clock.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take, so that
@@ -40,6 +40,8 @@ lock   Keeps the body of performer NAME at a reset.
 unlock Ends the lock: a reset forgets the body again.
 mend   Nodes correct the calibration of a moved camera, once its new pose is known (event camera_moved).
        The node overwrites its TOML calibration file and keeps a copy; another format stays unchanged.
+clock  Nodes add MS milliseconds to the capture times of camera NAME, beyond its calibration and in place of
+       what they added before, until they end. A node does this by itself if it finds a wrong clock.
 note   Recorders add --note and --mark to takes.csv in their folder, for NAME, or else for the running
        take or the last one.
 
@@ -55,22 +57,24 @@ Examples:
   bundlemocap take drop p2
   bundlemocap take label p3 --display-name \"the lead\" --colour '#d55e00'
   bundlemocap take mend cam03
+  bundlemocap take clock cam03 -100
   bundlemocap take reset --connect tcp/192.168.1.10:7447")]
 pub(super) struct Arguments {
     /// What to do.
     #[arg(value_enum)]
     action: Action,
     /// Name of the take: letters, digits, `-`, `_` and `.`. Without it: the running take; for
-    /// note, else the last one. For mend: the name of the camera. For name, drop, label, lock and unlock: the
-    /// performer, such as p3; for reset: all without one. For follow: X,Z.
+    /// note, else the last one. For mend and clock: the name of the camera. For name, drop, label, lock and
+    /// unlock: the performer, such as p3; for reset: all without one. For follow: X,Z.
     #[arg(allow_hyphen_values = true, required_if_eq_any([
         ("action", "start"), ("action", "mend"), ("action", "label"), ("action", "lock"), ("action", "unlock"),
-        ("action", "name"), ("action", "drop"), ("action", "follow"),
+        ("action", "name"), ("action", "drop"), ("action", "follow"), ("action", "clock"),
     ]))]
     name: Option<String>,
-    /// For name: the new name: letters, digits, `-`, `_` and `.`.
-    #[arg(required_if_eq("action", "name"))]
-    new_name: Option<String>,
+    /// For name: the new name: letters, digits, `-`, `_` and `.`. For clock: milliseconds.
+    #[arg(allow_hyphen_values = true, value_name = "NEW_NAME|MS",
+        required_if_eq_any([("action", "name"), ("action", "clock")]))]
+    value: Option<String>,
     /// Text of the note.
     #[arg(long, default_value = "", hide_default_value = true)]
     note: String,
@@ -109,6 +113,8 @@ enum Action {
     Unlock,
     /// Correct the calibration of a moved camera.
     Mend,
+    /// Correct the capture times of a camera.
+    Clock,
     /// Write a note about a take.
     Note,
 }
@@ -126,6 +132,7 @@ impl Action {
             Self::Lock => "lock",
             Self::Unlock => "unlock",
             Self::Mend => "mend",
+            Self::Clock => "clock",
             Self::Note => "note",
         }
     }
@@ -150,7 +157,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let place_m = match arguments.action {
         Action::Follow => place(&name)?,
         // Cameras may have any name.
-        Action::Mend => Vec::new(),
+        Action::Mend | Action::Clock => Vec::new(),
         _ if name.is_empty() => Vec::new(),
         // An option that there is not.
         _ if name.starts_with('-') => {
@@ -160,11 +167,21 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         }
         _ => check_name("NAME", &name).map(|()| Vec::new())?,
     };
-    let new_name = arguments.new_name.clone().unwrap_or_default();
-    if !new_name.is_empty() {
-        check_name("NEW_NAME", &new_name)?;
-        if arguments.action != Action::Name {
-            return Err(Failure::new(Exit::Usage, "NEW_NAME is for name"));
+    let (mut new_name, mut offset_ms) = (String::new(), 0.0);
+    match (arguments.action, &arguments.value) {
+        (_, None) => {}
+        (Action::Name, Some(value)) => {
+            check_name("NEW_NAME", value)?;
+            new_name.clone_from(value);
+        }
+        (Action::Clock, Some(value)) => {
+            let ms = value.parse().ok().filter(|ms: &f64| ms.is_finite());
+            let why = || format!("clock needs milliseconds, such as -100, not {value:?}");
+            offset_ms = ms.ok_or_else(|| Failure::new(Exit::Usage, why()))?;
+        }
+        (_, Some(value)) => {
+            let why = format!("{value:?} is one word too many: NEW_NAME is for name, MS for clock");
+            return Err(Failure::new(Exit::Usage, why));
         }
     }
     let config = arguments.bus.settings()?;
@@ -178,7 +195,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(Failure::new(Exit::Usage, "--display-name and --colour are for label"));
     }
     let action = arguments.action.name().into();
-    let take = Take { id: 0, action, name, note, mark, display_name, colour, new_name, place_m };
+    let shown = Take { display_name, colour, ..Take::default() };
+    let take = Take { action, name, note, mark, new_name, place_m, offset_ms, ..shown };
     let slate = Slate::open(&*bus, &topics(&config))?;
     std::thread::sleep(LEAD);
     let answers = answered(&slate, take, arguments.action.roles())?;

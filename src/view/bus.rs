@@ -108,7 +108,8 @@ impl Slate {
             _ => false,
         };
         let id = id.into();
-        let take = Take { id, action, name, note, mark, display_name, colour, new_name, place_m };
+        let shown = Take { display_name, colour, ..Take::default() };
+        let take = Take { id, action, name, note, mark, new_name, place_m, ..shown };
         is_sound.then_some(take)
     }
 }

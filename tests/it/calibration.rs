@@ -11,7 +11,9 @@ use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::so3;
 use bundlemocap::core::stage::Performers;
 use bundlemocap::core::time::{Nanos, Timestamp};
-use bundlemocap::core::tracker::{Config, EventKind, Live, Output, Solver, Tracker, run_to_end};
+use bundlemocap::core::tracker::{
+    Config, Event, EventKind, Live, Output, Solver, Tracker, run_to_end,
+};
 use bundlemocap::io::formats::{Convention, Up, read_calibration, write_calibration};
 use bundlemocap::io::recording::{Provenance, Writer};
 use bundlemocap::io::wire::Topics;
@@ -209,20 +211,22 @@ fn nothing_is_said_of_clocks_where_nobody_moves() {
     }
 }
 
-#[test]
-fn a_live_tracker_corrects_a_shifted_clock_slowly() {
+/// The events of time offsets of a live tracker, and the offsets that it uses, frames. The second camera is so many frames
+/// late.
+fn live_offsets(late: f64, noise: Noise, moves: bool) -> (Vec<Event>, Vec<f64>) {
     let skeleton = Skeleton::default();
     let motion = Motion::new(&skeleton, MotionStyle::default());
     let rig = Arc::new(ring_rig(4, 4.0, 1.6).unwrap());
-    let mut recording = Recording::new((*rig).clone(), skeleton, |seconds| motion.pose(seconds));
-    (recording.frames, recording.noise) = (2400, Noise::clean());
+    let pose = |seconds| motion.pose(if moves { seconds } else { 1.0 });
+    let mut recording = Recording::new((*rig).clone(), skeleton, pose);
+    (recording.frames, recording.noise) = (2400, noise);
     let config = Config { frame_rate_hz: FPS, ..Config::default() };
     let live =
         Live { provisional: false, time_offsets: true, watch_cameras: false, output_rate_hz: 0.0 };
     let mut tracker = Tracker::new(config, rig).live(live);
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let frames = recording.detections().map(|mut frame| {
-        let late = Nanos::rounded(if frame.camera == 1 { 2e9 / FPS } else { 0.0 });
+        let late = Nanos::rounded(if frame.camera == 1 { late * 1e9 / FPS } else { 0.0 });
         frame.capture = frame.capture + late;
         frame
     });
@@ -231,13 +235,42 @@ fn a_live_tracker_corrects_a_shifted_clock_slowly() {
         Output::Event(event) if event.kind == EventKind::TimeOffset => events.push(event),
         _ => {}
     });
-    println!("{events:?}");
-    assert_eq!(events.iter().map(|event| event.camera).collect::<Vec<_>>(), [Some(1)]);
-    for (i, camera) in tracker.rig().cameras.iter().enumerate() {
-        let frames = camera.time_offset.seconds() * FPS;
-        println!("{}: {frames:+.2} frames", camera.name);
-        let truth = if i == 1 { -2.0 } else { 0.0 };
-        assert!((frames - truth).abs() < 0.2, "{}: {frames}", camera.name);
+    let offsets = tracker.rig().cameras.iter().map(|camera| camera.time_offset.seconds() * FPS);
+    (events, offsets.collect())
+}
+
+#[test]
+fn a_live_tracker_corrects_a_shifted_clock() {
+    for (late, details) in [
+        (0.0, vec![]),
+        (0.7, vec!["its capture times are off", "in time again: corrected by -"]),
+        (1.3, vec!["-2"]),
+        (9.0, vec!["-15"]),
+        (16.0, vec!["-26"]),
+        (-5.0, vec!["+8"]),
+    ] {
+        let (events, offsets) = live_offsets(late, Noise::clean(), true);
+        println!("{late}: {offsets:.2?} {events:?}");
+        assert_eq!(events.len(), details.len());
+        for (event, begin) in events.iter().zip(details) {
+            assert_eq!(event.camera, Some(1));
+            assert!(event.detail.starts_with(begin), "{}", event.detail);
+        }
+        for (camera, frames) in offsets.into_iter().enumerate() {
+            let truth = if camera == 1 { -late } else { 0.0 };
+            assert!((frames - truth).abs() < 0.2, "{camera}: {frames}");
+        }
+    }
+}
+
+#[test]
+fn a_live_tracker_corrects_no_clock_without_motion() {
+    for noise in [Noise::jitter_only(), Noise::studio()] {
+        for late in [0.0, 6.0, 9.0] {
+            let (events, offsets) = live_offsets(late, noise.clone(), false);
+            println!("{late}: {offsets:.2?} {events:?}");
+            assert!(events.is_empty());
+        }
     }
 }
 

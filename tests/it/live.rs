@@ -27,7 +27,7 @@ const SECOND: Nanos = Nanos::SECOND;
 /// Start of the cameras on the node's clock.
 pub const START: Timestamp = Timestamp::from_ns(1_700_000_000_000_000_000);
 /// Time from exposure to arrival.
-const NETWORK: Nanos = Nanos::from_ms(3);
+pub const NETWORK: Nanos = Nanos::from_ms(3);
 
 /// A message in transit.
 #[derive(Clone, Debug)]

@@ -14,6 +14,8 @@ mod check;
 #[cfg(feature = "cli")]
 mod cli;
 #[cfg(feature = "cli")]
+mod clocks;
+#[cfg(feature = "cli")]
 mod cluster;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod doctor;

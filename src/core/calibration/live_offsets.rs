@@ -3,14 +3,15 @@
 //! Every two seconds the derivatives of the cost (see [`time_offsets`](super::time_offsets)) of that
 //! section are added to those of the past, which fade. The camera whose offset changes the cost
 //! most is corrected, little by little, so this follows slow clocks. It finds offsets of up to about
-//! three frames; larger ones are left alone.
+//! three frames. Once, after the first sections, offsets of 1 to 18 frames are searched and corrected at once.
 
+use super::epipolar::Pair;
 use super::normal::{Estimate, Normal, OffsetVerdict};
-use super::time_offsets::TimeOffset;
-use super::tracks::Tracks;
+use super::time_offsets::{Searched, refined, search};
+use super::tracks::{Track, Tracks};
 use super::views::{Scales, Views, loss_scale};
 use crate::core::body::{Pose, Skeleton};
-use crate::core::camera::Rig;
+use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::time::Nanos;
 
@@ -20,8 +21,23 @@ const FADE: f64 = 0.97;
 const FIRST: usize = 8;
 /// Frames in a step: costs are compared at lags this far apart.
 const STEP: i64 = 3;
+/// Their largest standard error then, steps.
+const CERTAIN: f64 = 0.06;
+/// Offsets from this one on, steps, are corrected at once: one frame.
+const AT_ONCE: f64 = 1.0 / STEP as f64;
 /// Largest correction per section, steps: 0.3 frames.
 const LARGEST: f64 = 0.1;
+
+/// What is new about the clock of a camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum News {
+    /// It is off, and is corrected step by step.
+    Shifted(usize),
+    /// It is far off, and has this correction at once.
+    AtOnce(usize, Nanos),
+    /// It is in sync again, with all corrections so far.
+    InSync(usize, Nanos),
+}
 
 /// The slow state of the time offsets.
 #[derive(Clone, Debug)]
@@ -29,6 +45,8 @@ pub struct LiveOffsets {
     tracks: Tracks,
     normal: Normal,
     sections: usize,
+    /// `None` after the first sections.
+    first: Option<First>,
     /// By camera, all corrections so far.
     corrections: Vec<Nanos>,
     is_shifted: Vec<bool>,
@@ -41,6 +59,7 @@ impl LiveOffsets {
             tracks: Tracks::new(cameras),
             normal: Normal::zeros(cameras),
             sections: 0,
+            first: Some(First::default()),
             corrections: vec![Nanos::ZERO; cameras],
             is_shifted: vec![false; cameras],
         }
@@ -54,43 +73,69 @@ impl LiveOffsets {
     }
 
     /// After each section, corrects the time offset of the camera that is shifted most, by 0.3
-    /// frames at most. Returns it if it was in sync before.
-    pub fn correct(&mut self, rig: &mut Rig, frame_period: Nanos) -> Option<(usize, TimeOffset)> {
-        let section = self.tracks.take_complete()?;
+    /// frames at most. Returns what is new.
+    pub fn correct(&mut self, rig: &mut Rig, frame_period: Nanos) -> Vec<News> {
+        let Some(section) = self.tracks.take_complete() else { return Vec::new() };
         let (cameras, step) = (rig.cameras.len(), frame_period * STEP);
         let views = Views::new(section.smoothed(&rig.cameras, step), &rig.cameras);
-        let scales = views.pairs.iter().map(|pair| -> Scales {
-            std::array::from_fn(|limb| loss_scale(&mut views.deviations(pair, limb, 0.0)))
-        });
-        let scales: Vec<Scales> = scales.collect();
+        let none = vec![0.0; cameras];
         self.normal.fade(FADE);
-        self.normal.merge(&views.linearise(&vec![0.0; cameras], &scales));
+        self.normal.merge(&views.linearise(&none, &scales(&views, &none)));
+        if let Some(first) = &mut self.first {
+            first.add(views);
+        }
         self.sections += 1;
         if self.sections < FIRST {
-            return None;
+            return Vec::new();
         }
-        let alone = |i| Normal::estimate(|o| self.normal.at(o), vec![0.0; cameras], vec![i])[i];
+        let alone = |i| Normal::estimate(|o| self.normal.at(o), none.clone(), vec![i])[i];
         let found: Vec<Estimate> = (0..cameras).map(alone).collect();
-        for (was_shifted, found) in self.is_shifted.iter_mut().zip(&found) {
-            *was_shifted &= found.verdict != OffsetVerdict::InSync;
+        let mut news = Vec::new();
+        if let Some(first) = self.first.take() {
+            let is_shifted = |found: &Estimate| found.verdict == OffsetVerdict::Shifted;
+            for (camera, steps) in first.far_offsets(&rig.cameras, found.iter().any(is_shifted)) {
+                let by = Nanos::rounded(steps * step.ns() as f64);
+                rig.shift_time(camera, by);
+                self.set(camera, self.corrections[camera] + by);
+                news.push(News::AtOnce(camera, self.corrections[camera]));
+            }
+            if !news.is_empty() {
+                return news;
+            }
+        }
+        for (camera, is_shifted) in self.is_shifted.iter_mut().enumerate() {
+            if *is_shifted && found[camera].verdict == OffsetVerdict::InSync {
+                *is_shifted = false;
+                news.push(News::InSync(camera, self.corrections[camera]));
+            }
         }
         let slopes = self.normal.slopes().abs();
         let worst = (0..cameras).max_by(|&i, &j| slopes[i].total_cmp(&slopes[j]));
-        let worst = worst.filter(|&i| found[i].verdict == OffsetVerdict::Shifted)?;
-
+        let worst = worst.filter(|&i| found[i].verdict == OffsetVerdict::Shifted);
+        let Some(worst) = worst else { return news };
         let steps = found[worst].offset.clamp(-LARGEST, LARGEST);
         let change = Nanos::rounded(steps * step.ns() as f64);
-        let offset = &mut rig.cameras[worst].time_offset;
-        *offset = *offset + change;
+        rig.shift_time(worst, change);
         self.corrections[worst] = self.corrections[worst] + change;
         self.normal.shift(worst, steps);
-        let was_shifted = std::mem::replace(&mut self.is_shifted[worst], true);
-        (!was_shifted).then(|| (worst, TimeOffset::new(found[worst], step)))
+        if !std::mem::replace(&mut self.is_shifted[worst], true) {
+            news.push(News::Shifted(worst));
+        }
+        news
     }
 
     /// By camera, all corrections so far.
     pub fn corrections(&self) -> &[Nanos] {
         &self.corrections
+    }
+
+    /// Corrects a camera by so much from here on, in place of its correction so far. What motion has told is of other
+    /// times, and forgotten.
+    pub fn set(&mut self, camera: usize, correction: Nanos) {
+        let first = self.first.take().map(|_| First::default());
+        let corrections = self.corrections.clone();
+        *self = Self { corrections, first, ..Self::new(self.is_shifted.len()) };
+        self.corrections[camera] = correction;
     }
 
     /// Begins with the corrections of an earlier run, if they are of as many cameras.
@@ -99,4 +144,51 @@ impl LiveOffsets {
             self.corrections.copy_from_slice(corrections);
         }
     }
+}
+
+/// The first sections, in which far offsets are searched.
+#[derive(Clone, Debug, Default)]
+struct First {
+    sections: Vec<Vec<Track>>,
+    /// The sums of the costs, by pair.
+    searched: Vec<Searched>,
+}
+
+impl First {
+    fn add(&mut self, views: Views) {
+        let searched: Vec<Searched> =
+            views.pairs.iter().map(|pair| Searched::of(&views, pair)).collect();
+        self.searched.iter_mut().zip(&searched).for_each(|(sum, one)| sum.merge(one));
+        if self.searched.is_empty() {
+            self.searched = searched;
+        }
+        self.sections.extend(views.into_sections());
+    }
+
+    /// The cameras whose offset is far from that of most, and certain; in steps. If the search finds none, there may be small
+    /// ones if `may_be_near`.
+    fn far_offsets(self, cameras: &[Camera], may_be_near: bool) -> Vec<(usize, f64)> {
+        let offsets = search(&self.searched, cameras.len(), &[]);
+        if !may_be_near && offsets.iter().all(|offset| *offset == 0.0) {
+            return Vec::new();
+        }
+        let views = Views::new(self.sections, cameras);
+        let found = refined(&views, &scales(&views, &offsets), offsets, 0);
+        // Without motion, an offset by chance looks certain now and then, but not those of the others.
+        let are_known = found.iter().filter(|one| one.verdict != OffsetVerdict::Unknown).count();
+        let is_far = |(_, one): &(usize, Estimate)| {
+            let is_shifted = one.verdict == OffsetVerdict::Shifted && one.error < CERTAIN;
+            is_shifted && one.offset.abs() >= AT_ONCE && 2 * are_known > cameras.len()
+        };
+        found.into_iter().enumerate().filter(is_far).map(|(i, found)| (i, found.offset)).collect()
+    }
+}
+
+/// The scales of the loss of each pair at some offsets, in steps.
+fn scales(views: &Views, offsets: &[f64]) -> Vec<Scales> {
+    let of_pair = |pair: &Pair| -> Scales {
+        let lag = offsets[pair.a] - offsets[pair.b];
+        std::array::from_fn(|limb| loss_scale(&mut views.deviations(pair, limb, lag)))
+    };
+    views.pairs.iter().map(of_pair).collect()
 }

@@ -16,7 +16,7 @@ mod views;
 mod watchdog;
 
 #[doc(hidden)]
-pub use live_offsets::LiveOffsets;
+pub use live_offsets::{LiveOffsets, News};
 #[doc(hidden)]
 pub use mend::{Seen, mend};
 pub use normal::OffsetVerdict;

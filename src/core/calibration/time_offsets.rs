@@ -68,16 +68,27 @@ pub fn time_offsets(
     let searched: Vec<Searched> =
         views.pairs.iter().map(|pair| Searched::of(&views, pair)).collect();
     let scales: Vec<Scales> = searched.iter().map(|searched| searched.scales).collect();
-    let linearise = |offsets: &[f64]| views.linearise(offsets, &scales);
     let known: Vec<f64> = known.iter().map(|k| k.ns() as f64 / step.ns().max(1) as f64).collect();
-    let mut offsets = search(&searched, cameras.len(), &known);
-    let mut free: Vec<usize> = (known.len()..cameras.len()).collect();
+    let offsets = search(&searched, cameras.len(), &known);
+    let found = refined(&views, &scales, offsets, known.len());
+    found.into_iter().map(|found| TimeOffset::new(found, step)).collect()
+}
+
+/// The estimates that follow from whole offsets, of which the first ones are known.
+pub(super) fn refined(
+    views: &Views,
+    scales: &[Scales],
+    mut offsets: Vec<f64>,
+    known: usize,
+) -> Vec<Estimate> {
+    let linearise = |offsets: &[f64]| views.linearise(offsets, scales);
+    let mut free: Vec<usize> = (known..offsets.len()).collect();
     let mut reference = None;
-    if known.is_empty() {
+    if known == 0 {
         centre(&mut offsets);
         let information = linearise(&offsets).information();
         // The reference has the median offset, and the other offsets are relative to it.
-        let usual = (0..cameras.len()).filter(|&i| offsets[i] == 0.0);
+        let usual = (0..offsets.len()).filter(|&i| offsets[i] == 0.0);
         reference = usual.max_by(|&i, &j| information[i].total_cmp(&information[j]));
         free.retain(|&i| Some(i) != reference);
     }
@@ -92,11 +103,12 @@ pub fn time_offsets(
                 Estimate { offset: 0.0, error: f64::INFINITY, verdict: OffsetVerdict::Unknown };
         }
     }
-    found.into_iter().map(|found| TimeOffset::new(found, step)).collect()
+    found
 }
 
 /// The costs of a pair at whole lags.
-struct Searched {
+#[derive(Clone, Debug)]
+pub(super) struct Searched {
     pair: Pair,
     /// Sum over the limbs of the mean absolute deviation in scales, times the number of points, at
     /// lags from -2 REACH to 2 REACH.
@@ -106,7 +118,7 @@ struct Searched {
 }
 
 impl Searched {
-    fn of(views: &Views, pair: &Pair) -> Self {
+    pub(super) fn of(views: &Views, pair: &Pair) -> Self {
         let lags = || -2 * REACH..=2 * REACH;
         let mut found = Self {
             pair: pair.clone(),
@@ -132,11 +144,16 @@ impl Searched {
         }
         found
     }
+
+    /// Adds the costs of the same pair in other sections.
+    pub(super) fn merge(&mut self, other: &Self) {
+        self.costs.iter_mut().zip(&other.costs).for_each(|(cost, other)| *cost += other);
+    }
 }
 
 /// Whole offsets: one camera after the other takes the offset that lowers the costs of its pairs most,
 /// as long as they fall by a part that is no accident. The first offsets are known.
-fn search(pairs: &[Searched], cameras: usize, known: &[f64]) -> Vec<f64> {
+pub(super) fn search(pairs: &[Searched], cameras: usize, known: &[f64]) -> Vec<f64> {
     let mut offsets: Vec<f64> = vec![0.0; cameras];
     offsets[..known.len()].copy_from_slice(known);
     let cost = |camera: usize, offsets: &[f64]| -> f64 {

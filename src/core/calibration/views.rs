@@ -33,6 +33,10 @@ impl Views {
         Self { sections, pairs, cameras: cameras.len() }
     }
 
+    pub(super) fn into_sections(self) -> Vec<Vec<Track>> {
+        self.sections
+    }
+
     /// The epipolar distances of a limb in a block at several lags, for every `stride`th step, if it
     /// has all.
     fn distances<const N: usize>(

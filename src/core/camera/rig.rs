@@ -43,8 +43,13 @@ impl Rig {
 
     /// Adds to the time offsets, by camera; cameras without a value keep theirs.
     pub fn shift_times(&mut self, by: &[Nanos]) {
-        for (camera, by) in self.cameras.iter_mut().zip(by) {
-            camera.time_offset = camera.time_offset + *by;
+        by.iter().enumerate().for_each(|(camera, by)| self.shift_time(camera, *by));
+    }
+
+    /// Adds to the time offset of a camera, if there is that camera.
+    pub fn shift_time(&mut self, camera: usize, by: Nanos) {
+        if let Some(camera) = self.cameras.get_mut(camera) {
+            camera.time_offset = camera.time_offset + by;
         }
     }
 }

@@ -83,6 +83,17 @@ impl Stage {
         }
     }
 
+    /// Live: the capture times of a camera are corrected by so much from here on, beyond its calibration and in place of
+    /// the correction so far.
+    pub fn correct_times(&mut self, camera: usize, correction: Nanos) {
+        let Some(before) = self.time_corrections().get(camera).copied() else { return };
+        self.all().for_each(|tracker| tracker.correct_times(camera, correction));
+        if let Some(crowd) = &mut self.crowd {
+            crowd.shift_time(camera, correction - before);
+            self.corrections[camera] = correction;
+        }
+    }
+
     /// By camera, all corrections of time offsets so far.
     pub fn time_corrections(&self) -> &[Nanos] {
         self.lead().time_corrections()
@@ -123,13 +134,11 @@ impl Stage {
         }
         let Some(lead) = self.trackers.get(self.lead) else { return };
         let left_out = lead.left_out();
-        let by =
-            lead.time_corrections().iter().zip(&self.corrections).map(|(to, from)| *to - *from);
-        let by: Vec<Nanos> = by.collect();
-        if by.iter().any(|by| *by != Nanos::ZERO) {
-            self.corrections = lead.time_corrections().to_vec();
-            if let Some(crowd) = &mut self.crowd {
-                crowd.set_rig(shifted(crowd.rig(), &by));
+        let corrections = lead.time_corrections().to_vec();
+        let before = std::mem::replace(&mut self.corrections, corrections);
+        if let Some(crowd) = &mut self.crowd {
+            for (camera, (now, before)) in self.corrections.iter().zip(before).enumerate() {
+                crowd.shift_time(camera, *now - before);
             }
         }
         if self.template.left_out() != left_out {

@@ -9,7 +9,7 @@ use super::port::Output;
 use super::state_machine::Tracker;
 use super::window::Window;
 use crate::core::body::Pose;
-use crate::core::calibration::{Finding, Seen, TimeOffset, limbs};
+use crate::core::calibration::{Finding, News, Seen, limbs};
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 
@@ -25,9 +25,24 @@ impl Tracker {
             self.offsets.add(&frame, &self.rig, pose, &skeleton);
         }
         let step = Nanos::rounded(self.frame_period());
-        let found = self.offsets.correct(Arc::make_mut(&mut self.rig), step);
-        if let Some((camera, TimeOffset { offset: Some(offset), .. })) = found {
-            let detail = format!("about {offset:.0}, corrected step by step");
+        let before = self.time_corrections().to_vec();
+        let news = self.offsets.correct(Arc::make_mut(&mut self.rig), step);
+        for (camera, before) in before.into_iter().enumerate() {
+            self.shift_waiting(camera, self.time_corrections()[camera] - before);
+        }
+        for news in news {
+            let (camera, detail) = match news {
+                News::Shifted(camera) => {
+                    (camera, "its capture times are off, and are corrected step by step".to_owned())
+                }
+                News::AtOnce(camera, by) => (
+                    camera,
+                    format!("{:+.1} ms are added to its capture times from now on", by.ms()),
+                ),
+                News::InSync(camera, by) => {
+                    (camera, format!("in time again: corrected by {:+.1} ms", by.ms()))
+                }
+            };
             self.event(EventKind::TimeOffset, window.publish, Some(camera), detail);
         }
     }

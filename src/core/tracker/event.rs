@@ -50,8 +50,7 @@ pub enum EventKind {
     /// A camera's clock differs from the others, or its frames are too late to wait for; or it agrees
     /// again.
     ClockOffset,
-    /// A camera's capture times are shifted against the others', as the motion shows; they are being
-    /// corrected.
+    /// A camera's capture times are shifted against the others', and are corrected: as the motion shows, or by order.
     TimeOffset,
     /// A camera was moved and is left out, or fits its calibration again.
     CameraMoved,

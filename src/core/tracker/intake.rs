@@ -135,19 +135,44 @@ impl Intake {
         if off.abs() > limit {
             return (held.into_iter().chain([frame]).collect(), None);
         }
-        let stray = held.map(|held| Event {
-            capture: frame.capture,
-            kind: EventKind::Unusable,
-            camera: Some(frame.camera),
-            window: None,
-            count: 1,
-            detail: format!(
-                "frame {} is {:+.3} s off the camera's frames before and after it",
-                held.frame,
-                held.capture.seconds_since(frame.capture),
-            ),
+        let stray = held.map(|held| {
+            let off = held.capture.seconds_since(frame.capture);
+            let number = held.frame;
+            let detail = format!(
+                "frame {number} is {off:+.3} s off the camera's frames before and after it"
+            );
+            of_frame(&frame, EventKind::Unusable, detail)
         });
         (vec![frame], stray)
+    }
+
+    /// The capture times of a camera are so much later from here on; also those of its frames that wait. Returns those that
+    /// are late now.
+    pub(in crate::core) fn shift(&mut self, camera: usize, by: Nanos) -> Vec<Event> {
+        let Some(seen) = self.cameras.get_mut(camera) else { return Vec::new() };
+        seen.watermark = seen.watermark.map(|watermark| watermark + by);
+        seen.last = seen.last.map(|(number, capture)| (number, capture + by));
+        self.held[camera].iter_mut().for_each(|frame| frame.capture = frame.capture + by);
+        let (own, others) =
+            std::mem::take(&mut self.frames).into_iter().partition(|((_, of, _), _)| *of == camera);
+        self.frames = others;
+        let mut late = Vec::new();
+        for (_, mut frame) in Frames::into_iter(own) {
+            let own = Arc::make_mut(&mut frame);
+            own.capture = own.capture + by;
+            match self.is_late(&frame) {
+                Some(event) => late.push(event),
+                None => drop(self.frames.insert((frame.capture, camera, frame.frame), frame)),
+            }
+        }
+        late
+    }
+
+    /// The event of a frame that is late.
+    fn is_late(&self, frame: &Detections) -> Option<Event> {
+        self.closed.filter(|closed| frame.capture <= *closed)?;
+        let detail = format!("frame {} after its window closed", frame.frame);
+        Some(of_frame(frame, EventKind::Late, detail))
     }
 
     /// The frames that wait for the next one of their camera.
@@ -158,16 +183,7 @@ impl Intake {
     /// Adds a frame; returns an event if the frame has a fault. `now` is the capture clock, if there is
     /// one.
     fn add(&mut self, frame: Detections, now: Option<Timestamp>) -> Option<Event> {
-        let event = |kind, detail: String| {
-            Some(Event {
-                capture: frame.capture,
-                kind,
-                camera: Some(frame.camera),
-                window: None,
-                count: 1,
-                detail,
-            })
-        };
+        let event = |kind, detail: String| Some(of_frame(&frame, kind, detail));
         if frame.camera >= self.cameras.len() {
             return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
         }
@@ -176,11 +192,8 @@ impl Intake {
             let detail = format!("{} in a stream of {}", frame.format.name(), format.name());
             return event(EventKind::Unusable, detail);
         }
-        if self.closed.is_some_and(|closed| frame.capture <= closed) {
-            return event(
-                EventKind::Late,
-                format!("frame {} after its window closed", frame.frame),
-            );
+        if let Some(late) = self.is_late(&frame) {
+            return Some(late);
         }
         let newest = self.newest().map(|newest| now.map_or(newest, |now| now.max(newest)));
         if let Some(newest) = newest.filter(|newest| frame.capture - *newest > MAX_JUMP) {
@@ -367,4 +380,9 @@ impl Intake {
         }
         missing
     }
+}
+
+fn of_frame(frame: &Detections, kind: EventKind, detail: String) -> Event {
+    let (capture, camera) = (frame.capture, Some(frame.camera));
+    Event { capture, kind, camera, window: None, count: 1, detail }
 }

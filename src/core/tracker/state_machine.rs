@@ -299,6 +299,27 @@ impl Tracker {
         self
     }
 
+    /// Corrects the capture times of a camera by so much, in place of its correction so far; also those of its frames that
+    /// wait.
+    pub(in crate::core) fn correct_times(&mut self, camera: usize, correction: Nanos) {
+        let by = correction - self.time_corrections()[camera];
+        self.offsets.set(camera, correction);
+        Arc::make_mut(&mut self.rig).shift_time(camera, by);
+        self.shift_waiting(camera, by);
+    }
+
+    /// The capture times of a camera's frames that wait are so much later.
+    pub(super) fn shift_waiting(&mut self, camera: usize, by: Nanos) {
+        if by == Nanos::ZERO {
+            return;
+        }
+        let late = self.intake.shift(camera, by);
+        // Of several performers, the stage has reported them.
+        if !self.is_fed {
+            self.report(late);
+        }
+    }
+
     /// By camera, all corrections of time offsets so far.
     pub fn time_corrections(&self) -> &[Nanos] {
         self.offsets.corrections()

@@ -60,10 +60,12 @@ pub(crate) struct Step {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CameraClock {
     buckets: VecDeque<Bucket>,
-    /// Second of the node's clock, and smallest offset in it without changes of the delay.
+    /// Second of the node's clock, and smallest offset in it without changes of the delay and corrections.
     smallest: VecDeque<(i64, Nanos)>,
     /// By how much the delay has grown.
     changed: Nanos,
+    /// What motion or somebody found to be wrong with its capture times, and is added to them.
+    correction: Nanos,
     /// Largest capture time, and the last arrival.
     pub(crate) last: Option<(Timestamp, Timestamp)>,
     pub(crate) step: Option<Step>,
@@ -77,9 +79,26 @@ pub(crate) struct CameraClock {
 }
 
 impl CameraClock {
-    /// A camera whose frames are not used.
-    pub(crate) fn left_out(why: LeftOut) -> Self {
-        Self { left_out: Some(why), ..Self::default() }
+    /// Its frames are not used until it agrees; what they were is forgotten.
+    pub(crate) fn leave_out(&mut self, why: LeftOut) {
+        *self = Self { left_out: Some(why), correction: self.correction, ..Self::default() };
+    }
+
+    /// What is added to its capture times.
+    pub(crate) fn correction(&self) -> Nanos {
+        self.correction
+    }
+
+    /// Its capture times are corrected by so much from here on.
+    pub(crate) fn correct(&mut self, correction: Nanos) {
+        let by = correction - std::mem::replace(&mut self.correction, correction);
+        if by == Nanos::ZERO {
+            return;
+        }
+        for Bucket { least, most, first, .. } in &mut self.buckets {
+            (*least, *most, *first) = (*least - by, *most - by, *first - by);
+        }
+        self.last = self.last.map(|(capture, arrival)| (capture + by, arrival));
     }
 
     /// Whether its frames are used, and come.
@@ -121,7 +140,7 @@ impl CameraClock {
             _ => self.changed,
         };
         let second = now.ns().div_euclid(Nanos::SECOND.ns());
-        let offset = offset - self.changed;
+        let offset = offset - self.changed + self.correction;
         match self.smallest.back_mut() {
             Some((last, smallest)) if *last == second => *smallest = offset.min(*smallest),
             _ => self.smallest.push_back((second, offset)),
@@ -135,7 +154,8 @@ impl CameraClock {
     /// The time line continues with another offset.
     pub(crate) fn restart(&mut self, now: Timestamp, offset: Nanos) {
         let last = self.last.map(|_| (now - offset, now));
-        *self = Self { last, is_reported: self.is_reported, ..Self::default() };
+        let (is_reported, correction) = (self.is_reported, self.correction);
+        *self = Self { last, is_reported, correction, ..Self::default() };
         self.note(now, now - offset, offset);
     }
 
@@ -175,7 +195,7 @@ impl CameraClock {
         Some(least + Nanos::rounded(2.0 * spread))
     }
 
-    /// Smallest offset of the last seconds without changes of the delay, to be compared.
+    /// Smallest offset of the last seconds without changes of the delay and corrections, to be compared.
     pub(crate) fn compared(&self) -> Option<Nanos> {
         self.smallest.iter().rev().take(COMPARED).map(|(_, offset)| *offset).min()
     }
@@ -186,7 +206,8 @@ impl CameraClock {
         let Line { slope, offset, origin, .. } = self.robust_line()?;
         let at = now.ns() as f64 / 1e9 - origin as f64;
         // ns per second are 1e-9; the drift is in 1e-6.
-        Some((offset + self.changed.ns() as f64 + slope * at, slope * 1e-3))
+        let changed = (self.changed - self.correction).ns() as f64;
+        Some((offset + changed + slope * at, slope * 1e-3))
     }
 
     /// Drift, ns per second, if it is significant: half a minute of offsets lie on a line.
@@ -229,7 +250,7 @@ impl CameraClock {
 struct Line {
     /// Second at which `offset` holds.
     origin: i64,
-    /// ns, without changes of the delay.
+    /// ns, without changes of the delay and corrections.
     offset: f64,
     /// ns per second.
     slope: f64,

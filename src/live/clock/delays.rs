@@ -1,6 +1,6 @@
 //! Delays of the cameras' frames: which are usual, lasting or too long, and what is drift.
 
-use super::base::{Base, LONGEST_DELAY};
+use super::base::{AHEAD, Base, LONGEST_DELAY};
 use super::camera::{CameraClock, LeftOut};
 use super::{Clock, RECENT, median};
 use crate::core::time::{Nanos, Timestamp};
@@ -80,6 +80,14 @@ impl Clock {
         let drifts = used.filter_map(CameraClock::drift);
         let most = drifts.fold(0.0, f64::max) * FORESEEN.seconds();
         Nanos::rounded(most).min(MOST_FORESEEN)
+    }
+
+    /// By how much corrections make frames come before their capture time. Then the other cameras are late instead.
+    pub(crate) fn too_early(&self) -> Option<Nanos> {
+        let used = self.cameras.iter().filter(|camera| camera.is_used());
+        let by =
+            |camera: &CameraClock| Some((self.base() - camera.level()?).min(camera.correction()));
+        used.filter_map(by).max().filter(|by| *by > AHEAD)
     }
 
     /// Deviation of each camera's offset from the median of all, seconds: of the smallest ones of ten

@@ -114,6 +114,13 @@ impl Clock {
         Arrival::Used
     }
 
+    /// The capture times of a camera are corrected by so much from here on.
+    pub(crate) fn correct(&mut self, camera: usize, correction: Nanos) {
+        if let Some(camera) = self.cameras.get_mut(camera) {
+            camera.correct(correction);
+        }
+    }
+
     /// The expected offset of a camera's frames: its own, or else that of the other cameras.
     fn expected(&self, camera: usize) -> Option<Nanos> {
         let own = self.cameras.get(camera)?;
@@ -186,7 +193,7 @@ impl Clock {
             match stepped.iter().position(|&c| c == index) {
                 Some(at) => camera.restart(now, offsets[at]),
                 None if camera.last.is_some() => {
-                    *camera = CameraClock::left_out(LeftOut::Clock(-by));
+                    camera.leave_out(LeftOut::Clock(-by));
                     // Perhaps its next frame has stepped too.
                     camera.agreeing = SURE - 1;
                 }
@@ -306,6 +313,30 @@ mod tests {
         assert!((drift - 100.0).abs() < 5.0, "{drift}");
         assert!(clock.offset(1, at(20.0)).unwrap().1.abs() < 5.0);
         assert_eq!(clock.capture_time(at(3.0)), at(3.0), "a shared clock");
+    }
+
+    #[test]
+    fn a_correction_is_neither_drift_nor_a_step() {
+        let mut clock = Clock::new(2);
+        for second in 0..60 {
+            let seconds = f64::from(second)..f64::from(second + 1);
+            // The motion shows that the second camera is late; 5 ms are corrected a second.
+            let correction = 0.005 * f64::from(second);
+            clock.correct(1, Nanos::rounded(-1e9 * correction));
+            feed(&mut clock, 0, seconds.clone(), |_| 0.002);
+            feed(&mut clock, 1, seconds, |_| 0.002 + correction);
+            let off = clock.levels().nth(1).unwrap().seconds() - 0.002 - correction;
+            assert!(off.abs() < 1e-6, "{off}");
+        }
+        assert_eq!(clock.growth(), Nanos::ZERO);
+        assert!(clock.deviations().iter().all(|(_, off)| off.abs() < 1e-3));
+        let (offset, drift) = clock.offset(1, at(60.0)).unwrap();
+        assert!((offset - 0.297).abs() < 1e-3 && drift.abs() < 5.0, "{offset} {drift}");
+        // All at once: more than any step of a clock.
+        clock.correct(1, Nanos::rounded(-1e9));
+        feed(&mut clock, 1, 60.0..61.0, |_| 1.002);
+        clock.correct(1, Nanos::ZERO);
+        feed(&mut clock, 1, 61.0..62.0, |_| 0.002);
     }
 
     #[test]

@@ -167,6 +167,7 @@ impl Core {
         // The time that the tracker uses: the calibration or the motion may say that the clock is off.
         let rig = self.stage.as_ref().map(Stage::rig);
         let known = rig.and_then(|rig| rig.cameras.get(index)).map(|camera| camera.time_offset);
+        self.clock.correct(index, self.time_correction(index));
         if self.arrive(&frame, known.unwrap_or_default()) {
             self.give(stage::Input::Detections(frame));
         }

@@ -437,7 +437,9 @@ impl Core {
             let (waited_for, used) = stage.map_or((false, 0), |stage| stage.camera(index));
             let waited_for = waited_for && !self.clock.is_left_out(index);
             let offset = self.clock.offset(index, self.now).unwrap_or_default();
-            cameras.push(camera.counters(self.now, used, waited_for, offset));
+            let counters = camera.counters(self.now, used, waited_for, offset);
+            let time_correction_s = self.time_correction(index).seconds();
+            cameras.push(wire::CameraCounters { time_correction_s, ..counters });
         }
         let effort = tracker::Effort::at(self.governor.level(), &self.settings.tracker);
         wire::Status {

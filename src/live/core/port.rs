@@ -193,6 +193,11 @@ fn known(wire: &JournalPerformer) -> Known {
     known
 }
 
+/// The same as a replay reads it: a message keeps less of a body.
+pub(super) fn as_replayed(before: &Known) -> Known {
+    known(&wire_known(before))
+}
+
 /// The same as a journal has it.
 pub(super) fn wire_known(known: &Known) -> JournalPerformer {
     let point = |point: &Option<Vector3<f64>>| -> [f64; 3] {

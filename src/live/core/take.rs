@@ -1,12 +1,12 @@
 //! Slates: a take begins or ends, a body is forgotten, a performer is labelled, named, followed or dropped, or a
-//! camera is mended.
+//! camera is mended or its capture times are corrected.
 //!
 //! A take is a run of its own: at its start the node begins anew with the calibration, the body, the
 //! latency and the time offsets that are known, and the head of the take's journal holds them. So a
 //! replay of the take needs nothing of the time before.
 
 use super::Core;
-use super::port::{Carried, Settings};
+use super::port::{Carried, Settings, as_replayed};
 use super::publication::Content;
 use crate::core::stage::{PerformerId, Stage};
 use crate::core::time::Timestamp;
@@ -81,6 +81,7 @@ impl Core {
             "lock" => self.lock(&take.name, true),
             "unlock" => self.lock(&take.name, false),
             "mend" => self.mend(&take.name),
+            "clock" => self.correct_times(&take.name, take.offset_ms),
             "start" => Err(format!("{:?} cannot be the name of a take", take.name)),
             other => Err(format!("{other:?} is no action")),
         }
@@ -278,8 +279,10 @@ impl Core {
                 latency: self.latency.declared().or(self.settings.carried.latency),
                 time_offsets: stage
                     .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
-                performers: stage
-                    .map_or_else(|| self.settings.carried.performers.clone(), Stage::known),
+                performers: stage.map_or_else(
+                    || self.settings.carried.performers.clone(),
+                    |stage| stage.known().iter().map(as_replayed).collect(),
+                ),
                 left_out: stage.map_or_else(Vec::new, Stage::left_out),
                 labels: self.labels_of_known(),
                 usual_px: self.cameras.iter().map(CameraState::usual_px).collect(),

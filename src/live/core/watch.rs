@@ -6,6 +6,9 @@ use crate::core::time::Nanos;
 use crate::core::tracker::EventKind;
 use crate::live::clock::camera::LeftOut;
 
+/// The largest correction of capture times, milliseconds.
+const MOST_MS: f64 = 60_000.0;
+
 impl Core {
     /// The cameras' clock has stepped by `by` (0: another one was chosen at the start): tracking
     /// begins anew.
@@ -16,6 +19,45 @@ impl Core {
             let detail = format!("stepped by {by:+.3} s, tracking begins anew; {kind}");
             self.event(EventKind::ClockJump, None, detail);
         }
+    }
+
+    /// What is added to the capture times of a camera, beyond its calibration.
+    pub(super) fn time_correction(&self, camera: usize) -> Nanos {
+        let corrections = self.stage.as_ref().map(stage::Stage::time_corrections);
+        corrections.and_then(|all| all.get(camera)).copied().unwrap_or_default()
+    }
+
+    /// Corrects the capture times of a camera by so many milliseconds, in place of the correction so far. Returns what was
+    /// done.
+    pub(super) fn correct_times(&mut self, name: &str, ms: f64) -> Result<String, String> {
+        let camera = self.cameras.iter().position(|camera| camera.name() == name);
+        let camera = camera.ok_or_else(|| format!("no camera has the name {name:?}"))?;
+        let stage = self.stage.as_mut().ok_or("no calibration yet")?;
+        if ms.is_nan() || ms.abs() > MOST_MS {
+            return Err(format!("{ms} ms is no correction; at most {MOST_MS}"));
+        }
+        stage.correct_times(camera, Nanos::rounded(ms * 1e6));
+        let detail = format!("{ms:+.1} ms are added to its capture times from now on");
+        self.event(EventKind::TimeOffset, Some(name), detail.clone());
+        Ok(format!("{name}: {detail}"))
+    }
+
+    /// If a correction makes the frames of a camera come before their capture time, the other cameras are late: all are
+    /// corrected by so much.
+    fn keep_frames_after_capture(&mut self) {
+        let Some(by) = self.clock.too_early() else { return };
+        for camera in 0..self.cameras.len() {
+            let correction = self.time_correction(camera) - by;
+            if let Some(stage) = &mut self.stage {
+                stage.correct_times(camera, correction);
+            }
+            self.clock.correct(camera, correction);
+        }
+        let detail = format!(
+            "{:+.1} ms are added to the capture times of all cameras, since frames come after their capture",
+            -by.ms()
+        );
+        self.event(EventKind::TimeOffset, None, detail);
     }
 
     /// Reports single frames with a wrong time.
@@ -62,6 +104,7 @@ impl Core {
     /// Once a second: reports the kind of the clock, cameras that are left out, and those whose clocks
     /// are off from the others' by more than a quarter of a frame period.
     pub(super) fn watch_clocks(&mut self) {
+        self.keep_frames_after_capture();
         if let Some(detail) = self.clock.news(self.now) {
             self.event(EventKind::Clock, None, detail);
         }

@@ -9,6 +9,7 @@
 //! | `bundlemocap_camera_age_seconds` | `camera` | time since its last frame |
 //! | `bundlemocap_camera_offset_seconds` | `camera` | offset of its clock from the node's, including the delay |
 //! | `bundlemocap_camera_drift_ppm` | `camera` | drift of that offset |
+//! | `bundlemocap_camera_time_correction_seconds` | `camera` | what is added to its capture times |
 //! | `bundlemocap_camera_residual_pixels` | `camera` | median residual of the last window |
 //! | `bundlemocap_camera_usual_pixels` | `camera` | what is usual of that, by its own past |
 //! | `bundlemocap_camera_near_ratio` | `camera` | share of its points that are near the body |
@@ -153,6 +154,8 @@ impl Sheet<'_> {
             c.offset_s
         })?;
         each("bundlemocap_camera_drift_ppm", "Drift of the offset", |c| c.drift_ppm)?;
+        let help = "What is added to its capture times";
+        each("bundlemocap_camera_time_correction_seconds", help, |c| c.time_correction_s)?;
         each("bundlemocap_camera_usual_pixels", "Usual residual", |c| c.usual_px)?;
         let help = "Share of points near the body";
         each("bundlemocap_camera_near_ratio", help, |c| c.near)?;

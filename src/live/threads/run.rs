@@ -20,7 +20,8 @@ use super::solvers::Solvers;
 use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
 use crate::io::wire::{
-    Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, StageStatus, Status, TakeAnswer, Topics,
+    Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, StageStatus, Status, Take, TakeAnswer,
+    Topics, encode,
 };
 use crate::live::clock::wall::WallClock;
 use crate::live::config::Config;
@@ -56,22 +57,33 @@ pub struct Running {
     playout: Arc<Playout>,
     endpoint: Option<Endpoint>,
     board: Arc<Board>,
+    intake: Intake,
+    topics: Topics,
     presence: Presence,
 }
 
 /// State of a node, for any thread.
 #[derive(Clone)]
-pub struct Monitor(Arc<Board>);
+pub struct Monitor {
+    board: Arc<Board>,
+    intake: Intake,
+    topics: Topics,
+}
 
 impl Monitor {
     /// The last status, if there is one.
     pub fn status(&self) -> Option<Status> {
-        self.0.status()
+        self.board.status()
     }
 
     /// The bytes of the `Rig` message in use, if there is one.
     pub fn rig(&self) -> Option<Vec<u8>> {
-        self.0.rig().map(|sample| sample.payload)
+        self.board.rig().map(|sample| sample.payload)
+    }
+
+    /// Gives the node a command, as if it came from the bus. The journal has it.
+    pub fn order(&self, take: &Take) {
+        self.intake.push(Message { topic: self.topics.take().into(), payload: encode(take) });
     }
 }
 
@@ -164,12 +176,14 @@ impl Node {
             playout,
             endpoint,
             board,
+            intake,
+            topics,
             presence,
         };
-        running.listen(&*bus, patterns, &intake)?;
+        running.listen(&*bus, patterns)?;
         if config.solver {
             // It gets performers from here on.
-            let announced = bus.announce(&topics.solver())?;
+            let announced = bus.announce(&running.topics.solver())?;
             *token.lock().unwrap_or_else(PoisonError::into_inner) = Some(announced);
         }
         Ok(running)
@@ -178,16 +192,11 @@ impl Node {
 
 impl Running {
     /// The first of the patterns is the rig's topic.
-    fn listen(
-        &mut self,
-        bus: &dyn Bus,
-        patterns: Vec<String>,
-        intake: &Intake,
-    ) -> Result<(), NodeError> {
+    fn listen(&mut self, bus: &dyn Bus, patterns: Vec<String>) -> Result<(), NodeError> {
         let board = Arc::clone(&self.board);
         self.rig_answer = bus.answer(&patterns[0], Box::new(move || board.rig()))?;
         for pattern in patterns {
-            let intake = intake.clone();
+            let intake = self.intake.clone();
             let sink = move |sample: crate::io::bus::Sample| {
                 intake.push(Message { topic: sample.topic, payload: sample.payload });
             };
@@ -222,7 +231,8 @@ impl Running {
 
     /// State of the node for other threads.
     pub fn monitor(&self) -> Monitor {
-        Monitor(Arc::clone(&self.board))
+        let (board, intake) = (Arc::clone(&self.board), self.intake.clone());
+        Monitor { board, intake, topics: self.topics.clone() }
     }
 
     /// Number of messages that could not be published.

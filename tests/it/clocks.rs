@@ -1,0 +1,158 @@
+//! A camera whose capture times are late, and are corrected while the node runs, in simulated time.
+
+use std::ops::Range;
+
+use bundlemocap::config::Config;
+use bundlemocap::core::body::Pose;
+use bundlemocap::core::time::Nanos;
+use bundlemocap::io::wire::{Event, KeypointSet, Status, Take, Topics, encode};
+use bundlemocap::research::synth::{
+    Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
+};
+
+use crate::live::{NETWORK, START, Sent, Studio, World, at};
+use crate::slate::{answers, assert_agrees, from, recorded, replayed};
+
+/// What four cameras send of that many performers up to the end. The frames of the last one come late, and its times are
+/// those of the arrival.
+fn studio(people: usize, late: Nanos, end: f64) -> Vec<Sent> {
+    let meeting = Meeting { people, distance: Some(0.7) };
+    let rig = if people == 1 { ring_rig(4, 4.0, 1.6) } else { meeting.rig(4) }.unwrap();
+    let one = |person| {
+        let (skeleton, motion) = meeting.person(person, 5);
+        let motion = match people {
+            1 => {
+                let motion = Motion::new(&skeleton, MotionStyle::default());
+                Box::new(move |seconds| motion.pose(seconds)) as Box<dyn Fn(f64) -> Pose>
+            }
+            _ => Box::new(motion),
+        };
+        let mut one = Recording::new(rig.clone(), skeleton, motion);
+        (one.fps, one.frames) = (60.0, (60.0 * end) as u64);
+        (one.noise, one.start) = (Noise::clean(), START);
+        one
+    };
+    let crowd = Crowd::new((0..people).map(one).collect());
+    let frames = crowd.detections().map(|(mut frame, _)| {
+        if frame.camera == 3 {
+            frame.capture = frame.capture + late;
+        }
+        frame
+    });
+    let frames = frames.collect();
+    Studio { rig, frames }.messages()
+}
+
+fn order(camera: &str, offset_ms: f64, seconds: f64) -> Sent {
+    let (action, name) = ("clock".to_owned(), camera.to_owned());
+    let take = Take { id: 7, action, name, offset_ms, ..Take::default() };
+    Sent { arrival: at(seconds), topic: Topics::default().take(), payload: encode(&take) }
+}
+
+/// The last status before a time.
+fn status(world: &World, seconds: f64) -> Status {
+    let mut all = world.heard.of::<Status>(&Topics::default().status());
+    all.retain(|(time, _)| *time <= at(seconds));
+    all.pop().unwrap().1
+}
+
+/// The mean residual of the last camera, pixels.
+fn residual(world: &World, seconds: Range<f64>) -> f64 {
+    let all = world.heard.of::<Status>(&Topics::default().status());
+    let all = all.iter().filter(|(time, _)| (at(seconds.start)..at(seconds.end)).contains(time));
+    let all: Vec<f64> = all.map(|(_, status)| status.cameras[3].residual_px).collect();
+    all.iter().sum::<f64>() / all.len() as f64
+}
+
+fn latency(status: &Status) -> Nanos {
+    Nanos::new(status.declared_latency_ns.cast_signed())
+}
+
+#[test]
+fn capture_times_are_corrected_when_ordered() {
+    let late = Nanos::from_ms(100);
+    for people in [1, 3] {
+        let mut sent = studio(people, late, 16.0);
+        let start = Take { id: 8, action: "start".into(), name: "walk".into(), ..Take::default() };
+        let topic = Topics::default().take();
+        sent.push(Sent { arrival: at(12.0), topic, payload: encode(&start) });
+        sent.push(order("cam04", -100.0, 6.0));
+        sent.extend([order("cam9", -100.0, 7.0), order("cam04", 1e6, 7.0)]);
+        let mut config = Config::default();
+        config.stage.performers = if people == 1 { "1" } else { "auto" }.parse().unwrap();
+        let (world, recorded) = recorded(World::new(&config), sent, 16.0);
+        let refused: Vec<bool> = answers(&world).iter().map(|(refused, _)| *refused).collect();
+        assert_eq!(refused, [false, true, true, false], "{:?}", answers(&world));
+        let [before, after, last] = [5.9, 11.9, 15.9].map(|seconds| status(&world, seconds));
+        for (status, correction) in [(&before, 0.0), (&after, -0.1), (&last, -0.1)] {
+            assert_eq!(status.cameras[3].time_correction_s, correction);
+        }
+        let residuals = [2.0..6.0, 7.0..12.0].map(|seconds| residual(&world, seconds));
+        let latencies = [&before, &after].map(latency);
+        println!("{people} performers: {residuals:?} px, {latencies:?}");
+        assert!(residuals[1] < 0.5 * residuals[0]);
+        // The frames come so much later, and nothing else has changed.
+        let by = latencies[1] - latencies[0];
+        assert!((late..late + NETWORK + Nanos::from_ms(20)).contains(&by), "{by}");
+        let events = world.heard.of::<Event>(&Topics::default().stage_events());
+        let of_clocks = ["clock", "clock_jump", "clock_offset"];
+        let wrong = |event: &Event| {
+            of_clocks.contains(&&*event.kind) && !event.detail.contains("use the node's clock")
+        };
+        let wrong: Vec<_> = events.iter().filter(|(_, event)| wrong(event)).collect();
+        assert!(wrong.is_empty(), "{wrong:?}");
+        let of_camera = |count: fn(&bundlemocap::io::wire::CameraCounters) -> u64| {
+            count(&after.cameras[3]) - count(&before.cameras[3])
+        };
+        let (late, disordered) = (of_camera(|c| c.late), of_camera(|c| c.out_of_order));
+        println!("{late} late, {disordered} out of order");
+        assert!(late <= 12 && disordered == 0);
+        let take = replayed(&from(&recorded, 12.0), Some("walk")).unwrap();
+        assert_eq!(take.start.time_offsets_ns[3], -100_000_000);
+        assert_agrees(&take);
+        let first: Vec<_> = recorded.into_iter().filter(|one| one.time < at(11.9)).collect();
+        assert_agrees(&replayed(&first, None).unwrap());
+    }
+}
+
+#[test]
+fn a_front_corrects_the_frames_that_it_sends_to_solvers() {
+    let mut config = Config::default();
+    config.stage.performers = "auto".parse().unwrap();
+    config.stage.solve = false;
+    let mut sent = studio(3, Nanos::from_ms(100), 4.0);
+    sent.push(order("cam04", -100.0, 2.0));
+    let mut world = World::new(&config);
+    world.play(sent, at(4.0));
+    let topics = Topics { actor: "p1".into(), ..Topics::default() };
+    let sets = world.heard.of::<KeypointSet>(&topics.actor_keypoints());
+    let off = |(_, set): &(_, KeypointSet)| {
+        let of = |name: &str| set.frames.iter().find(|frame| frame.camera == name);
+        let (late, other) = (of("cam04")?, of("cam01")?);
+        Some(late.capture_time_ns - other.capture_time_ns)
+    };
+    let frames = |(_, set): &(_, KeypointSet)| {
+        let of = |name: &str| set.frames.iter().find(|frame| frame.camera == name);
+        Some(of("cam04")?.frame.cast_signed() - of("cam01")?.frame.cast_signed())
+    };
+    let offs: Vec<i64> = sets.iter().filter_map(off).collect();
+    assert!(offs.len() > 200 && offs.iter().all(|off| off.abs() < 1_000_000), "{}", offs.len());
+    let frames: Vec<i64> = sets.iter().filter_map(frames).collect();
+    assert_eq!([frames[60], frames[frames.len() - 60]], [-6, 0], "the same instant");
+}
+
+#[test]
+fn a_correction_step_by_step_is_no_drift() {
+    let late = Nanos::from_ms(33);
+    let end = 60.0;
+    let mut world = World::new(&Config::default());
+    world.play(studio(1, late, end), at(end));
+    println!("{:?}", world.heard.details("time_offset"));
+    let [before, after] = [5.0, end].map(|seconds| status(&world, seconds));
+    let off = after.cameras[3].time_correction_s + late.seconds();
+    assert!(off.abs() < 0.004, "{off}");
+    let [before, after] = [before, after].map(|status| latency(&status));
+    println!("{before}, {after}");
+    assert!(after - before <= late + Nanos::from_ms(20));
+    assert_eq!(world.heard.details("clock_offset"), Vec::<String>::new());
+}
