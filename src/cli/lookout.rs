@@ -63,8 +63,10 @@ pub(super) fn look(
             clocks = Clocks { rig: bytes.clone(), ..Clocks::default() };
         }
         let goes_on = || !is_over() && node.rig().as_ref() == Some(&bytes);
-        if let Some(evidence) = watch(bus, topics, &corrected(&rig, node), goes_on)? {
-            let rig = corrected(&rig, node);
+        let rig_now = corrected(&rig, &corrections(node));
+        if let Some(evidence) = watch(bus, topics, &rig_now, goes_on)? {
+            let before = corrections(node);
+            let rig = corrected(&rig, &before);
             let check = std::thread::spawn(move || evidence.check(&rig));
             while !check.is_finished() {
                 if is_over() {
@@ -72,11 +74,15 @@ pub(super) fn look(
                 }
                 std::thread::sleep(ATTENTION);
             }
+            if corrections(node) != before {
+                // Motion, or somebody, has corrected the clocks meanwhile.
+                continue;
+            }
             let mut orders = Vec::new();
             if let Ok(check) = check.join() {
                 say(&check);
                 if corrects {
-                    orders = clocks.orders(&check, &corrections(node));
+                    orders = clocks.orders(&check, &before);
                 }
             }
             // Corrected clocks are judged again.
@@ -96,8 +102,8 @@ fn corrections(node: &Monitor) -> BTreeMap<String, Nanos> {
 }
 
 /// The cameras, with the corrections in their time offsets.
-fn corrected(rig: &Rig, node: &Monitor) -> Rig {
-    let (mut rig, corrections) = (rig.clone(), corrections(node));
+fn corrected(rig: &Rig, corrections: &BTreeMap<String, Nanos>) -> Rig {
+    let mut rig = rig.clone();
     let by = |camera: &Camera| corrections.get(&camera.name).copied().unwrap_or_default();
     let by: Vec<Nanos> = rig.cameras.iter().map(by).collect();
     rig.shift_times(&by);
@@ -108,7 +114,7 @@ fn corrected(rig: &Rig, node: &Monitor) -> Rig {
 #[derive(Default)]
 struct Clocks {
     rig: Vec<u8>,
-    /// By name: the error before the correction, and the correction before it.
+    /// By name: the error before the order, and by how much it changed the correction.
     tried: BTreeMap<String, (f64, Nanos)>,
     /// Cameras of which a correction was of no use.
     are_right: Vec<String>,
@@ -120,21 +126,19 @@ impl Clocks {
     fn orders(&mut self, check: &Check, corrections: &BTreeMap<String, Nanos>) -> Vec<Take> {
         let mut orders = Vec::new();
         for row in &check.cameras {
-            let error = row.mean_error.unwrap_or(f64::INFINITY);
-            let before = self.tried.remove(&row.camera);
-            let undone = before.filter(|(before, _)| error > LOWERED * before);
+            // Otherwise it hardly sees anybody now.
+            let Some(error) = row.mean_error else { continue };
+            let tried = self.tried.remove(&row.camera);
+            let undone = tried.filter(|(before, _)| error > LOWERED * before).map(|(_, by)| -by);
             self.are_right.extend(undone.map(|_| row.camera.clone()));
-            let now = corrections.get(&row.camera).copied().unwrap_or_default();
             let late = row.times.and_then(|wrong| wrong.late());
             let late = late.filter(|_| !self.are_right.contains(&row.camera));
-            if late.is_some() {
-                self.tried.insert(row.camera.clone(), (error, now));
-            }
-            let wanted = undone.map(|(_, before)| before).or(late.map(|late| now - late));
-            orders.extend(wanted.map(|correction| Take {
+            self.tried.extend(late.map(|late| (row.camera.clone(), (error, -late))));
+            let now = corrections.get(&row.camera).copied().unwrap_or_default();
+            orders.extend(undone.or(late.map(|late| -late)).map(|by| Take {
                 action: "clock".to_owned(),
                 name: row.camera.clone(),
-                offset_ms: correction.ms(),
+                offset_ms: (now + by).ms(),
                 ..Take::default()
             }));
         }
@@ -208,7 +212,7 @@ fn say(check: &Check) {
     }
 }
 
-#[cfg(all(test, feature = "research"))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::core::body::Skeleton;
@@ -245,16 +249,17 @@ mod tests {
 
     #[test]
     fn a_late_clock_is_corrected_and_a_correction_of_no_use_is_taken_back() {
-        let (late, right) = (check(Nanos::ZERO), check(Nanos::ZERO - LATE));
+        let (late, right) = (check(Nanos::ZERO), check(-LATE));
         let mut clocks = Clocks::default();
         assert_eq!(ordered(&mut clocks, &late, Nanos::ZERO), [-100.0]);
         assert!(right.is_clean());
-        assert!(ordered(&mut clocks, &right, Nanos::ZERO - LATE).is_empty());
+        assert!(ordered(&mut clocks, &right, -LATE).is_empty());
 
         // It was of no use, and is not tried again.
         let before = Nanos::from_ms(7);
         assert_eq!(ordered(&mut clocks, &late, before), [-93.0]);
-        assert_eq!(ordered(&mut clocks, &late, before - LATE), [7.0]);
+        // Meanwhile, all cameras were shifted by 3 ms.
+        assert_eq!(ordered(&mut clocks, &late, before - LATE + Nanos::from_ms(3)), [10.0]);
         assert!(ordered(&mut clocks, &late, before).is_empty());
     }
 

@@ -170,7 +170,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (mut new_name, mut offset_ms) = (String::new(), 0.0);
     match (arguments.action, &arguments.value) {
         (_, None) => {}
-        (Action::Name, Some(value)) => {
+        (Action::Name, Some(value)) if !value.starts_with('-') => {
             check_name("NEW_NAME", value)?;
             new_name.clone_from(value);
         }
@@ -180,7 +180,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             offset_ms = ms.ok_or_else(|| Failure::new(Exit::Usage, why()))?;
         }
         (_, Some(value)) => {
-            let why = format!("{value:?} is one word too many: NEW_NAME is for name, MS for clock");
+            let why = format!("{value:?} does not belong here: NEW_NAME is for name, MS for clock");
             return Err(Failure::new(Exit::Usage, why));
         }
     }

@@ -3,7 +3,7 @@
 //! Every two seconds the derivatives of the cost (see [`time_offsets`](super::time_offsets)) of that
 //! section are added to those of the past, which fade. The camera whose offset changes the cost
 //! most is corrected, little by little, so this follows slow clocks. It finds offsets of up to about
-//! three frames. Once, after the first sections, offsets of 1 to 18 frames are searched and corrected at once.
+//! three frames. Once, after the first sections, offsets of up to 18 frames are searched and corrected at once.
 
 use super::epipolar::Pair;
 use super::normal::{Estimate, Normal, OffsetVerdict};
@@ -21,10 +21,8 @@ const FADE: f64 = 0.97;
 const FIRST: usize = 8;
 /// Frames in a step: costs are compared at lags this far apart.
 const STEP: i64 = 3;
-/// Their largest standard error then, steps.
+/// Largest standard error of an offset that is corrected at once, steps.
 const CERTAIN: f64 = 0.06;
-/// Offsets from this one on, steps, are corrected at once: one frame.
-const AT_ONCE: f64 = 1.0 / STEP as f64;
 /// Largest correction per section, steps: 0.3 frames.
 const LARGEST: f64 = 0.1;
 
@@ -33,7 +31,7 @@ const LARGEST: f64 = 0.1;
 pub enum News {
     /// It is off, and is corrected step by step.
     Shifted(usize),
-    /// It is far off, and has this correction at once.
+    /// It was off, and has this correction at once.
     AtOnce(usize, Nanos),
     /// It is in sync again, with all corrections so far.
     InSync(usize, Nanos),
@@ -93,7 +91,8 @@ impl LiveOffsets {
         let mut news = Vec::new();
         if let Some(first) = self.first.take() {
             let is_shifted = |found: &Estimate| found.verdict == OffsetVerdict::Shifted;
-            for (camera, steps) in first.far_offsets(&rig.cameras, found.iter().any(is_shifted)) {
+            for (camera, steps) in first.certain_offsets(&rig.cameras, found.iter().any(is_shifted))
+            {
                 let by = Nanos::rounded(steps * step.ns() as f64);
                 rig.shift_time(camera, by);
                 self.set(camera, self.corrections[camera] + by);
@@ -132,10 +131,15 @@ impl LiveOffsets {
     /// Corrects a camera by so much from here on, in place of its correction so far. What motion has told is of other
     /// times, and forgotten.
     pub fn set(&mut self, camera: usize, correction: Nanos) {
-        let first = self.first.take().map(|_| First::default());
-        let corrections = self.corrections.clone();
+        self.search_anew();
+        let (corrections, first) = (self.corrections.clone(), self.first.take());
         *self = Self { corrections, first, ..Self::new(self.is_shifted.len()) };
         self.corrections[camera] = correction;
+    }
+
+    /// Another calibration holds: the search of the first sections, if they are not over, begins anew.
+    pub fn search_anew(&mut self) {
+        self.first = self.first.take().map(|_| First::default());
     }
 
     /// Begins with the corrections of an earlier run, if they are of as many cameras.
@@ -146,7 +150,7 @@ impl LiveOffsets {
     }
 }
 
-/// The first sections, in which far offsets are searched.
+/// The first sections, in which offsets are searched.
 #[derive(Clone, Debug, Default)]
 struct First {
     sections: Vec<Vec<Track>>,
@@ -165,9 +169,9 @@ impl First {
         self.sections.extend(views.into_sections());
     }
 
-    /// The cameras whose offset is far from that of most, and certain; in steps. If the search finds none, there may be small
+    /// The cameras with a certain offset, and that in steps. If the search finds none, there may be small
     /// ones if `may_be_near`.
-    fn far_offsets(self, cameras: &[Camera], may_be_near: bool) -> Vec<(usize, f64)> {
+    fn certain_offsets(self, cameras: &[Camera], may_be_near: bool) -> Vec<(usize, f64)> {
         let offsets = search(&self.searched, cameras.len(), &[]);
         if !may_be_near && offsets.iter().all(|offset| *offset == 0.0) {
             return Vec::new();
@@ -176,11 +180,16 @@ impl First {
         let found = refined(&views, &scales(&views, &offsets), offsets, 0);
         // Without motion, an offset by chance looks certain now and then, but not those of the others.
         let are_known = found.iter().filter(|one| one.verdict != OffsetVerdict::Unknown).count();
-        let is_far = |(_, one): &(usize, Estimate)| {
+        let is_certain = |(_, one): &(usize, Estimate)| {
             let is_shifted = one.verdict == OffsetVerdict::Shifted && one.error < CERTAIN;
-            is_shifted && one.offset.abs() >= AT_ONCE && 2 * are_known > cameras.len()
+            is_shifted && 2 * are_known > cameras.len()
         };
-        found.into_iter().enumerate().filter(is_far).map(|(i, found)| (i, found.offset)).collect()
+        found
+            .into_iter()
+            .enumerate()
+            .filter(is_certain)
+            .map(|(i, found)| (i, found.offset))
+            .collect()
     }
 }
 

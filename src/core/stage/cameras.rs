@@ -30,9 +30,9 @@ impl Stage {
     /// Time offsets and moved cameras are found from this performer, if nobody was before.
     pub(super) fn begin_to_watch(&mut self, performer: usize) {
         let live = self.template.live_settings();
-        if let (Some(live), Some(tracker), 0) = (live, self.trackers.get_mut(performer), performer)
-        {
-            tracker.watch_for_all(live, None);
+        let lead = self.trackers.get_mut(performer).filter(|_| performer == self.lead);
+        if let (Some(live), Some(lead)) = (live, lead) {
+            lead.watch_for_all(live, None);
         }
     }
 
@@ -86,12 +86,10 @@ impl Stage {
     /// Live: the capture times of a camera are corrected by so much from here on, beyond its calibration and in place of
     /// the correction so far.
     pub fn correct_times(&mut self, camera: usize, correction: Nanos) {
-        let Some(before) = self.time_corrections().get(camera).copied() else { return };
-        self.all().for_each(|tracker| tracker.correct_times(camera, correction));
-        if let Some(crowd) = &mut self.crowd {
-            crowd.shift_time(camera, correction - before);
-            self.corrections[camera] = correction;
+        if let (Some(crowd), Some(before)) = (&mut self.crowd, self.corrections.get_mut(camera)) {
+            crowd.shift_time(camera, correction - std::mem::replace(before, correction));
         }
+        self.all().for_each(|tracker| tracker.correct_times(camera, correction));
     }
 
     /// By camera, all corrections of time offsets so far.
@@ -135,10 +133,9 @@ impl Stage {
         let Some(lead) = self.trackers.get(self.lead) else { return };
         let left_out = lead.left_out();
         let corrections = lead.time_corrections().to_vec();
-        let before = std::mem::replace(&mut self.corrections, corrections);
-        if let Some(crowd) = &mut self.crowd {
-            for (camera, (now, before)) in self.corrections.iter().zip(before).enumerate() {
-                crowd.shift_time(camera, *now - before);
+        for (camera, correction) in corrections.into_iter().enumerate() {
+            if self.corrections[camera] != correction {
+                self.correct_times(camera, correction);
             }
         }
         if self.template.left_out() != left_out {

@@ -114,7 +114,7 @@ pub struct Stage {
     incomplete: BTreeMap<usize, PerformerFrames>,
     /// The performer from whom time offsets and moved cameras are found.
     lead: usize,
-    /// With several performers: the lead's corrections of time offsets that are in use.
+    /// With several performers: the corrections of time offsets that are in use.
     corrections: Vec<Nanos>,
     next: VecDeque<Next>,
 }

@@ -24,6 +24,7 @@ impl Tracker {
             let detail = format!("calibration {} from here on", rig.version);
             let mut rig = Arc::unwrap_or_clone(rig);
             rig.shift_times(self.offsets.corrections());
+            self.offsets.search_anew();
             self.watchdog = Watchdog::new(rig.cameras.len());
             self.mending.retain(|mending| left_out[mending.camera]);
             self.left_out = left_out;

@@ -302,7 +302,8 @@ impl Tracker {
     /// Corrects the capture times of a camera by so much, in place of its correction so far; also those of its frames that
     /// wait.
     pub(in crate::core) fn correct_times(&mut self, camera: usize, correction: Nanos) {
-        let by = correction - self.time_corrections()[camera];
+        let Some(before) = self.time_corrections().get(camera) else { return };
+        let by = correction - *before;
         self.offsets.set(camera, correction);
         Arc::make_mut(&mut self.rig).shift_time(camera, by);
         self.shift_waiting(camera, by);
@@ -314,7 +315,7 @@ impl Tracker {
             return;
         }
         let late = self.intake.shift(camera, by);
-        // Of several performers, the stage has reported them.
+        // Of several performers, the stage reports frames.
         if !self.is_fed {
             self.report(late);
         }

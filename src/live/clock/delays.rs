@@ -77,6 +77,8 @@ impl Clock {
     /// clock falls behind.
     pub(crate) fn growth(&self) -> Nanos {
         let used = self.cameras.iter().filter(|camera| camera.is_used());
+        // The drift of a camera whose times are corrected is corrected, too.
+        let used = used.filter(|camera| camera.correction() == Nanos::ZERO);
         let drifts = used.filter_map(CameraClock::drift);
         let most = drifts.fold(0.0, f64::max) * FORESEEN.seconds();
         Nanos::rounded(most).min(MOST_FORESEEN)
@@ -91,15 +93,22 @@ impl Clock {
     }
 
     /// Deviation of each camera's offset from the median of all, seconds: of the smallest ones of ten
-    /// seconds, without changes of the delay.
+    /// seconds, without changes of the delay. With or without its correction, whichever is less.
     pub(crate) fn deviations(&self) -> Vec<(usize, f64)> {
         let used = self.cameras.iter().enumerate().filter(|(_, camera)| camera.is_used());
-        let offsets: Vec<(usize, Nanos)> =
-            used.filter_map(|(index, camera)| Some((index, camera.compared()?))).collect();
-        let Some(median) = median(offsets.iter().map(|(_, offset)| *offset)) else {
-            return Vec::new();
+        let of = |(index, camera): (usize, &CameraClock)| {
+            let offset = camera.compared()?;
+            Some((index, [offset, offset - camera.correction()]))
         };
-        offsets.iter().map(|(index, offset)| (*index, (*offset - median).seconds())).collect()
+        let offsets: Vec<(usize, [Nanos; 2])> = used.filter_map(of).collect();
+        let middle = |which: usize| median(offsets.iter().map(|(_, offsets)| offsets[which]));
+        let Some(medians) = middle(0).zip(middle(1)) else { return Vec::new() };
+        let off = |(index, [raw, corrected]): &(usize, [Nanos; 2])| {
+            let off = [*raw - medians.0, *corrected - medians.1];
+            let least = off.into_iter().min_by_key(|off| off.abs()).unwrap_or_default();
+            (*index, least.seconds())
+        };
+        offsets.iter().map(off).collect()
     }
 
     /// Follows the drift of the clock, and notes which cameras are silent; called once a second.

@@ -198,7 +198,7 @@ impl Core {
         if let Some(detail) = camera.frame(now, frame.frame, capture) {
             self.event(EventKind::Conflict, Some(&name), detail);
         }
-        self.arrivals.push_back((capture, now));
+        self.arrivals.push_back((capture + offset, now));
         if self.arrivals.len() > MOST_ARRIVALS {
             self.arrivals.pop_front();
         }

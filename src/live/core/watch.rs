@@ -9,6 +9,9 @@ use crate::live::clock::camera::LeftOut;
 /// The largest correction of capture times, milliseconds.
 const MOST_MS: f64 = 60_000.0;
 
+/// After a step back by more, tracking begins anew.
+const FAR: Nanos = Nanos::from_ms(250);
+
 impl Core {
     /// The cameras' clock has stepped by `by` (0: another one was chosen at the start): tracking
     /// begins anew.
@@ -32,11 +35,10 @@ impl Core {
     pub(super) fn correct_times(&mut self, name: &str, ms: f64) -> Result<String, String> {
         let camera = self.cameras.iter().position(|camera| camera.name() == name);
         let camera = camera.ok_or_else(|| format!("no camera has the name {name:?}"))?;
-        let stage = self.stage.as_mut().ok_or("no calibration yet")?;
         if ms.is_nan() || ms.abs() > MOST_MS {
             return Err(format!("{ms} ms is no correction; at most {MOST_MS}"));
         }
-        stage.correct_times(camera, Nanos::rounded(ms * 1e6));
+        self.set_correction(camera, Nanos::rounded(ms * 1e6));
         let detail = format!("{ms:+.1} ms are added to its capture times from now on");
         self.event(EventKind::TimeOffset, Some(name), detail.clone());
         Ok(format!("{name}: {detail}"))
@@ -47,17 +49,26 @@ impl Core {
     fn keep_frames_after_capture(&mut self) {
         let Some(by) = self.clock.too_early() else { return };
         for camera in 0..self.cameras.len() {
-            let correction = self.time_correction(camera) - by;
-            if let Some(stage) = &mut self.stage {
-                stage.correct_times(camera, correction);
-            }
-            self.clock.correct(camera, correction);
+            self.set_correction(camera, self.time_correction(camera) - by);
+        }
+        if by > FAR {
+            // Until the last solved frame is reached again, all frames would be late.
+            self.give(stage::Input::Restart);
         }
         let detail = format!(
             "{:+.1} ms are added to the capture times of all cameras, since frames come after their capture",
             -by.ms()
         );
         self.event(EventKind::TimeOffset, None, detail);
+    }
+
+    fn set_correction(&mut self, camera: usize, correction: Nanos) {
+        // Frames that were given have the times from before.
+        self.drain();
+        if let Some(stage) = &mut self.stage {
+            stage.correct_times(camera, correction);
+        }
+        self.clock.correct(camera, correction);
     }
 
     /// Reports single frames with a wrong time.
