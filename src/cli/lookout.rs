@@ -1,7 +1,7 @@
 //! What `run` says about its cameras: where they send if the node hears none, and whether they fit. Wrong clocks are
 //! corrected.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -13,7 +13,7 @@ use crate::core::time::Nanos;
 use crate::core::tracker::Config;
 use crate::diagnose::{Check, Evidence};
 use crate::io::bus::{Bus, BusError};
-use crate::io::wire::{self, KeypointFrame, Status, Take, Topics, decode};
+use crate::io::wire::{self, CameraCounters, KeypointFrame, Status, Take, Topics, decode};
 use crate::live::Monitor;
 
 /// If no camera was heard for this long, others are looked for, for so long, and again after a while.
@@ -26,6 +26,10 @@ const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
 const CHANCE: Duration = Duration::from_secs(30);
 
+/// A camera that was silent for longer, seconds, may be another one, or in another place.
+const SILENT_S: f64 = 2.0;
+/// A check holds if meanwhile no clock was corrected by more.
+const SAME_CLOCK: Nanos = Nanos::from_ms(10);
 /// A correction must lower the error of a camera to this part.
 const LOWERED: f64 = 0.9;
 
@@ -46,10 +50,14 @@ pub(super) fn look(
     let mut at = Instant::now() + PATIENCE;
     let mut judged = None;
     let mut clocks = Clocks::default();
+    let mut silent = BTreeSet::new();
     while !is_over() {
         std::thread::sleep(ATTENTION);
-        let heard = |status: Status| status.cameras.iter().any(|camera| camera.age_s > 0.0);
-        if !node.status().is_some_and(heard) {
+        let status = node.status().unwrap_or_default();
+        if has_returned(&mut silent, &status) {
+            (judged, clocks) = (None, Clocks::default());
+        }
+        if status.cameras.iter().all(|camera| camera.age_s == 0.0) {
             if Instant::now() >= at {
                 search(bus, &topics.stage, &is_over)?;
                 at = Instant::now() + AGAIN;
@@ -74,7 +82,11 @@ pub(super) fn look(
                 }
                 std::thread::sleep(ATTENTION);
             }
-            if corrections(node) != before {
+            let now = corrections(node);
+            let is_same = |(name, before): (&String, &Nanos)| {
+                now.get(name).is_some_and(|now| (*now - *before).abs() < SAME_CLOCK)
+            };
+            if !before.iter().all(is_same) {
                 // Motion, or somebody, has corrected the clocks meanwhile.
                 continue;
             }
@@ -82,7 +94,7 @@ pub(super) fn look(
             if let Ok(check) = check.join() {
                 say(&check);
                 if corrects {
-                    orders = clocks.orders(&check, &before);
+                    orders = clocks.orders(&check, &now);
                 }
             }
             // Corrected clocks are judged again.
@@ -95,9 +107,8 @@ pub(super) fn look(
 
 /// What the node adds to the capture times of its cameras, by name.
 fn corrections(node: &Monitor) -> BTreeMap<String, Nanos> {
-    let of = |camera: wire::CameraCounters| {
-        (camera.camera, Nanos::rounded(camera.time_correction_s * 1e9))
-    };
+    let of =
+        |camera: CameraCounters| (camera.camera, Nanos::rounded(camera.time_correction_s * 1e9));
     node.status().into_iter().flat_map(|status| status.cameras).map(of).collect()
 }
 
@@ -144,6 +155,20 @@ impl Clocks {
         }
         orders
     }
+}
+
+/// Whether a camera that was `silent` sends again, though not all were.
+fn has_returned(silent: &mut BTreeSet<String>, status: &Status) -> bool {
+    let heard: Vec<_> = status.cameras.iter().filter(|camera| camera.age_s > 0.0).collect();
+    let is_silent = |camera: &&CameraCounters| camera.age_s > SILENT_S;
+    // The detectors may be stopped between takes.
+    if heard.iter().all(|camera| is_silent(&camera)) {
+        return false;
+    }
+    let now: BTreeSet<String> =
+        heard.iter().copied().filter(is_silent).map(|camera| camera.camera.clone()).collect();
+    let before = std::mem::replace(silent, now);
+    before.iter().any(|camera| !silent.contains(camera))
 }
 
 /// Says what is on the bus while no camera sends on this stage.
@@ -261,6 +286,30 @@ mod tests {
         // Meanwhile, all cameras were shifted by 3 ms.
         assert_eq!(ordered(&mut clocks, &late, before - LATE + Nanos::from_ms(3)), [10.0]);
         assert!(ordered(&mut clocks, &late, before).is_empty());
+    }
+
+    #[test]
+    fn a_camera_that_returns_alone_is_judged_again() {
+        let mut silent = BTreeSet::new();
+        let mut returned = |ages: [f64; 3]| {
+            let names = ["one", "two", "three"];
+            let camera = |(name, age_s): (&str, f64)| CameraCounters {
+                camera: name.into(),
+                age_s,
+                ..CameraCounters::default()
+            };
+            let cameras = names.into_iter().zip(ages).map(camera).collect();
+            has_returned(&mut silent, &Status { cameras, ..Status::default() })
+        };
+        // The third one has not begun.
+        assert!(!returned([0.01, 0.01, 0.0]));
+        assert!(!returned([0.01, 3.0, 0.01]));
+        assert!(!returned([0.01, 4.0, 0.01]));
+        assert!(returned([0.01, 0.01, 0.01]));
+        assert!(!returned([0.01, 0.01, 0.01]));
+        // All stop and go on.
+        assert!(!returned([5.0, 5.0, 5.0]));
+        assert!(!returned([0.01, 0.01, 0.01]));
     }
 
     #[test]
