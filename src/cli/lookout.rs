@@ -50,12 +50,13 @@ pub(super) fn look(
     let mut at = Instant::now() + PATIENCE;
     let mut judged = None;
     let mut clocks = Clocks::default();
-    let mut silent = BTreeSet::new();
+    let mut silence = Silence::default();
     while !is_over() {
         std::thread::sleep(ATTENTION);
         let status = node.status().unwrap_or_default();
-        if has_returned(&mut silent, &status) {
-            (judged, clocks) = (None, Clocks::default());
+        for camera in silence.returned(&status) {
+            judged = None;
+            clocks.forget(&camera);
         }
         if status.cameras.iter().all(|camera| camera.age_s == 0.0) {
             if Instant::now() >= at {
@@ -98,7 +99,7 @@ pub(super) fn look(
                 }
             }
             // Corrected clocks are judged again.
-            judged = orders.is_empty().then_some(bytes);
+            judged = (orders.is_empty() && clocks.tried.is_empty()).then_some(bytes);
             orders.iter().for_each(|order| node.order(order));
         }
     }
@@ -128,10 +129,16 @@ struct Clocks {
     /// By name: the error before the order, and by how much it changed the correction.
     tried: BTreeMap<String, (f64, Nanos)>,
     /// Cameras of which a correction was of no use.
-    are_right: Vec<String>,
+    not_to_correct: Vec<String>,
 }
 
 impl Clocks {
+    /// A camera may have another clock.
+    fn forget(&mut self, camera: &String) {
+        self.tried.remove(camera);
+        self.not_to_correct.retain(|name| name != camera);
+    }
+
     /// What the node is to do after a check: it corrects capture times that are early or late, and takes back corrections
     /// after which a camera fits no better.
     fn orders(&mut self, check: &Check, corrections: &BTreeMap<String, Nanos>) -> Vec<Take> {
@@ -141,9 +148,9 @@ impl Clocks {
             let Some(error) = row.mean_error else { continue };
             let tried = self.tried.remove(&row.camera);
             let undone = tried.filter(|(before, _)| error > LOWERED * before).map(|(_, by)| -by);
-            self.are_right.extend(undone.map(|_| row.camera.clone()));
+            self.not_to_correct.extend(undone.map(|_| row.camera.clone()));
             let late = row.times.and_then(|wrong| wrong.late());
-            let late = late.filter(|_| !self.are_right.contains(&row.camera));
+            let late = late.filter(|_| !self.not_to_correct.contains(&row.camera));
             self.tried.extend(late.map(|late| (row.camera.clone(), (error, -late))));
             let now = corrections.get(&row.camera).copied().unwrap_or_default();
             orders.extend(undone.or(late.map(|late| -late)).map(|by| Take {
@@ -157,18 +164,34 @@ impl Clocks {
     }
 }
 
-/// Whether a camera that was `silent` sends again, though not all were.
-fn has_returned(silent: &mut BTreeSet<String>, status: &Status) -> bool {
-    let heard: Vec<_> = status.cameras.iter().filter(|camera| camera.age_s > 0.0).collect();
-    let is_silent = |camera: &&CameraCounters| camera.age_s > SILENT_S;
-    // The detectors may be stopped between takes.
-    if heard.iter().all(|camera| is_silent(&camera)) {
-        return false;
+/// Which cameras are silent while others send.
+#[derive(Default)]
+struct Silence {
+    /// By name, the correction of its capture times when it fell silent.
+    silent: BTreeMap<String, f64>,
+    /// The cameras that sent at the last look.
+    heard: BTreeSet<String>,
+}
+
+impl Silence {
+    /// The cameras that send again. Not those that the node had left out for their correction, nor any after all were
+    /// silent: the detectors may be stopped between takes.
+    fn returned(&mut self, status: &Status) -> Vec<String> {
+        let all: Vec<_> = status.cameras.iter().filter(|camera| camera.age_s > 0.0).collect();
+        let (silent, heard): (Vec<_>, Vec<_>) =
+            all.into_iter().partition(|camera| camera.age_s > SILENT_S);
+        let mut before = std::mem::take(&mut self.silent);
+        for camera in silent.iter().filter(|_| !heard.is_empty()) {
+            let known = before.remove(&camera.camera);
+            let is_new = self.heard.contains(&camera.camera).then_some(camera.time_correction_s);
+            self.silent.extend(known.or(is_new).map(|by| (camera.camera.clone(), by)));
+        }
+        self.heard = heard.iter().map(|camera| camera.camera.clone()).collect();
+        let is_same = |camera: &&&CameraCounters| {
+            before.get(&camera.camera) == Some(&camera.time_correction_s)
+        };
+        heard.iter().filter(is_same).map(|camera| camera.camera.clone()).collect()
     }
-    let now: BTreeSet<String> =
-        heard.iter().copied().filter(is_silent).map(|camera| camera.camera.clone()).collect();
-    let before = std::mem::replace(silent, now);
-    before.iter().any(|camera| !silent.contains(camera))
 }
 
 /// Says what is on the bus while no camera sends on this stage.
@@ -290,26 +313,30 @@ mod tests {
 
     #[test]
     fn a_camera_that_returns_alone_is_judged_again() {
-        let mut silent = BTreeSet::new();
-        let mut returned = |ages: [f64; 3]| {
+        let mut silence = Silence::default();
+        let mut returned = |ages: [f64; 3], time_correction_s: f64| {
             let names = ["one", "two", "three"];
-            let camera = |(name, age_s): (&str, f64)| CameraCounters {
-                camera: name.into(),
-                age_s,
-                ..CameraCounters::default()
+            let camera = |(name, age_s): (&str, f64)| {
+                let counters = CameraCounters { time_correction_s, ..CameraCounters::default() };
+                CameraCounters { camera: name.into(), age_s, ..counters }
             };
             let cameras = names.into_iter().zip(ages).map(camera).collect();
-            has_returned(&mut silent, &Status { cameras, ..Status::default() })
+            silence.returned(&Status { cameras, ..Status::default() })
         };
+        let sends = [0.01; 3];
         // The third one has not begun.
-        assert!(!returned([0.01, 0.01, 0.0]));
-        assert!(!returned([0.01, 3.0, 0.01]));
-        assert!(!returned([0.01, 4.0, 0.01]));
-        assert!(returned([0.01, 0.01, 0.01]));
-        assert!(!returned([0.01, 0.01, 0.01]));
-        // All stop and go on.
-        assert!(!returned([5.0, 5.0, 5.0]));
-        assert!(!returned([0.01, 0.01, 0.01]));
+        assert!(returned([0.01, 0.01, 0.0], 0.0).is_empty());
+        assert!(returned([0.01, 3.0, 0.01], 0.0).is_empty());
+        assert!(returned([0.01, 4.0, 0.01], 0.0).is_empty());
+        assert_eq!(returned(sends, 0.0), ["two"]);
+        assert!(returned(sends, 0.0).is_empty());
+        // All stop and go on, one after the other.
+        for ages in [[3.0, 0.01, 0.01], [4.0, 3.0, 0.01], [5.0; 3], [0.01, 6.0, 6.0], sends] {
+            assert!(returned(ages, 0.0).is_empty());
+        }
+        // The node left it out because of a correction.
+        assert!(returned([0.01, 3.0, 0.01], -1.0).is_empty());
+        assert!(returned(sends, 0.0).is_empty());
     }
 
     #[test]

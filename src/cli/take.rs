@@ -41,7 +41,7 @@ unlock Ends the lock: a reset forgets the body again.
 mend   Nodes correct the calibration of a moved camera, once its new pose is known (event camera_moved).
        The node overwrites its TOML calibration file and keeps a copy; another format stays unchanged.
 clock  Nodes add MS milliseconds to the capture times of camera NAME, beyond its calibration and in place of
-       what they added before, until they end. A node does this by itself if it finds a wrong clock.
+       what they added before. A node does this by itself if it finds a wrong clock, and may change it again.
 note   Recorders add --note and --mark to takes.csv in their folder, for NAME, or else for the running
        take or the last one.
 
@@ -180,7 +180,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             offset_ms = ms.ok_or_else(|| Failure::new(Exit::Usage, why()))?;
         }
         (_, Some(value)) => {
-            let why = format!("{value:?} does not belong here: NEW_NAME is for name, MS for clock");
+            let why = match value.starts_with('-') {
+                true => format!("{value:?} is not an option of `take`"),
+                false => {
+                    format!("{value:?} is one word too many: NEW_NAME is for name, MS for clock")
+                }
+            };
             return Err(Failure::new(Exit::Usage, why));
         }
     }
@@ -195,8 +200,18 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(Failure::new(Exit::Usage, "--display-name and --colour are for label"));
     }
     let action = arguments.action.name().into();
-    let shown = Take { display_name, colour, ..Take::default() };
-    let take = Take { action, name, note, mark, new_name, place_m, offset_ms, ..shown };
+    let take = Take {
+        id: 0,
+        action,
+        name,
+        note,
+        mark,
+        display_name,
+        colour,
+        new_name,
+        place_m,
+        offset_ms,
+    };
     let slate = Slate::open(&*bus, &topics(&config))?;
     std::thread::sleep(LEAD);
     let answers = answered(&slate, take, arguments.action.roles())?;

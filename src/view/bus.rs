@@ -108,8 +108,19 @@ impl Slate {
             _ => false,
         };
         let id = id.into();
-        let shown = Take { display_name, colour, ..Take::default() };
-        let take = Take { id, action, name, note, mark, new_name, place_m, ..shown };
+        let offset_ms = 0.0;
+        let take = Take {
+            id,
+            action,
+            name,
+            note,
+            mark,
+            display_name,
+            colour,
+            new_name,
+            place_m,
+            offset_ms,
+        };
         is_sound.then_some(take)
     }
 }

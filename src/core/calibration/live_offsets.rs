@@ -17,7 +17,7 @@ use crate::core::time::Nanos;
 
 /// Weight of the past after each section: half of it after 46 s.
 const FADE: f64 = 0.97;
-/// Sections before the first correction.
+/// Sections before the first correction, and after the last one.
 const FIRST: usize = 8;
 /// Frames in a step: costs are compared at lags this far apart.
 const STEP: i64 = 3;
@@ -47,7 +47,8 @@ pub struct LiveOffsets {
     first: Option<First>,
     /// By camera, all corrections so far.
     corrections: Vec<Nanos>,
-    is_shifted: Vec<bool>,
+    /// Of cameras that are being corrected, the number of sections since the last step.
+    since_step: Vec<Option<usize>>,
 }
 
 impl LiveOffsets {
@@ -59,7 +60,7 @@ impl LiveOffsets {
             sections: 0,
             first: Some(First::default()),
             corrections: vec![Nanos::ZERO; cameras],
-            is_shifted: vec![false; cameras],
+            since_step: vec![None; cameras],
         }
     }
 
@@ -71,7 +72,7 @@ impl LiveOffsets {
     }
 
     /// After each section, corrects the time offset of the camera that is shifted most, by 0.3
-    /// frames at most. Returns what is new.
+    /// frames at most; after the first ones, those of all cameras at once. Returns what is new.
     pub fn correct(&mut self, rig: &mut Rig, frame_period: Nanos) -> Vec<News> {
         let Some(section) = self.tracks.take_complete() else { return Vec::new() };
         let (cameras, step) = (rig.cameras.len(), frame_period * STEP);
@@ -102,9 +103,10 @@ impl LiveOffsets {
                 return news;
             }
         }
-        for (camera, is_shifted) in self.is_shifted.iter_mut().enumerate() {
-            if *is_shifted && found[camera].verdict == OffsetVerdict::InSync {
-                *is_shifted = false;
+        for (camera, since) in self.since_step.iter_mut().enumerate() {
+            *since = since.map(|sections| sections + 1);
+            if *since >= Some(FIRST) && found[camera].verdict == OffsetVerdict::InSync {
+                *since = None;
                 news.push(News::InSync(camera, self.corrections[camera]));
             }
         }
@@ -117,7 +119,7 @@ impl LiveOffsets {
         rig.shift_time(worst, change);
         self.corrections[worst] = self.corrections[worst] + change;
         self.normal.shift(worst, steps);
-        if !std::mem::replace(&mut self.is_shifted[worst], true) {
+        if self.since_step[worst].replace(0).is_none() {
             news.push(News::Shifted(worst));
         }
         news
@@ -131,15 +133,17 @@ impl LiveOffsets {
     /// Corrects a camera by so much from here on, in place of its correction so far. What motion has told is of other
     /// times, and forgotten.
     pub fn set(&mut self, camera: usize, correction: Nanos) {
-        self.search_anew();
-        let (corrections, first) = (self.corrections.clone(), self.first.take());
-        *self = Self { corrections, first, ..Self::new(self.is_shifted.len()) };
+        let (corrections, first) =
+            (self.corrections.clone(), self.first.is_some().then(First::default));
+        *self = Self { corrections, first, ..Self::new(self.since_step.len()) };
         self.corrections[camera] = correction;
     }
 
     /// Another calibration holds: the search of the first sections, if they are not over, begins anew.
     pub fn search_anew(&mut self) {
-        self.first = self.first.take().map(|_| First::default());
+        if self.first.is_some() {
+            (self.first, self.sections) = (Some(First::default()), 0);
+        }
     }
 
     /// Begins with the corrections of an earlier run, if they are of as many cameras.

@@ -135,9 +135,6 @@ impl Crowd {
 
     /// The capture times of a camera are so much later from here on.
     pub(super) fn shift_time(&mut self, camera: usize, by: Nanos) {
-        if by == Nanos::ZERO {
-            return;
-        }
         Arc::make_mut(&mut self.rig).shift_time(camera, by);
         let late = self.sets.intake().shift(camera, by);
         self.sets.events.extend(late);

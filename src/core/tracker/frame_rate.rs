@@ -115,6 +115,13 @@ impl FrameRate {
         }
     }
 
+    /// The capture times of a camera are so much later from here on.
+    pub(super) fn shift(&mut self, camera: usize, by: Nanos) {
+        let camera = self.cameras.get_mut(camera);
+        let frames = camera.into_iter().flat_map(|camera| &mut camera.frames);
+        frames.for_each(|(_, capture)| *capture = *capture + by);
+    }
+
     /// The period of a camera whose frame counter is usable.
     pub(super) fn of_camera(&self, camera: usize) -> Option<FramePeriod> {
         let line = self.cameras.get(camera)?.line?;

@@ -149,15 +149,20 @@ impl Intake {
     /// The capture times of a camera are so much later from here on; also those of its frames that wait. Returns those that
     /// are late now.
     pub(in crate::core) fn shift(&mut self, camera: usize, by: Nanos) -> Vec<Event> {
-        let Some(seen) = self.cameras.get_mut(camera) else { return Vec::new() };
+        let seen = self.cameras.get_mut(camera).filter(|_| by != Nanos::ZERO);
+        let Some(seen) = seen else { return Vec::new() };
+        self.rate.shift(camera, by);
         seen.watermark = seen.watermark.map(|watermark| watermark + by);
         seen.last = seen.last.map(|(number, capture)| (number, capture + by));
         self.held[camera].iter_mut().for_each(|frame| frame.capture = frame.capture + by);
-        let (own, others) =
-            std::mem::take(&mut self.frames).into_iter().partition(|((_, of, _), _)| *of == camera);
+        // Earlier ones belong to a window that is being solved.
+        let waits = |capture: &Timestamp| self.closed.is_none_or(|closed| *capture > closed);
+        let is_own = |(capture, of, _): &(Timestamp, usize, u64)| *of == camera && waits(capture);
+        let (own, others): (Frames, Frames) =
+            std::mem::take(&mut self.frames).into_iter().partition(|(key, _)| is_own(key));
         self.frames = others;
         let mut late = Vec::new();
-        for (_, mut frame) in Frames::into_iter(own) {
+        for mut frame in own.into_values() {
             let own = Arc::make_mut(&mut frame);
             own.capture = own.capture + by;
             match self.is_late(&frame) {

@@ -304,6 +304,9 @@ impl Tracker {
     pub(in crate::core) fn correct_times(&mut self, camera: usize, correction: Nanos) {
         let Some(before) = self.time_corrections().get(camera) else { return };
         let by = correction - *before;
+        if by == Nanos::ZERO {
+            return;
+        }
         self.offsets.set(camera, correction);
         Arc::make_mut(&mut self.rig).shift_time(camera, by);
         self.shift_waiting(camera, by);
@@ -311,11 +314,8 @@ impl Tracker {
 
     /// The capture times of a camera's frames that wait are so much later.
     pub(super) fn shift_waiting(&mut self, camera: usize, by: Nanos) {
-        if by == Nanos::ZERO {
-            return;
-        }
         let late = self.intake.shift(camera, by);
-        // Of several performers, the stage reports frames.
+        // Of several performers, each would report the same frames.
         if !self.is_fed {
             self.report(late);
         }

@@ -77,7 +77,7 @@ impl Clock {
     /// clock falls behind.
     pub(crate) fn growth(&self) -> Nanos {
         let used = self.cameras.iter().filter(|camera| camera.is_used());
-        // The drift of a camera whose times are corrected is corrected, too.
+        // Motion may correct the drift of a camera whose times it corrects.
         let used = used.filter(|camera| camera.correction() == Nanos::ZERO);
         let drifts = used.filter_map(CameraClock::drift);
         let most = drifts.fold(0.0, f64::max) * FORESEEN.seconds();

@@ -36,7 +36,7 @@ impl Core {
         let camera = self.cameras.iter().position(|camera| camera.name() == name);
         let camera = camera.ok_or_else(|| format!("no camera has the name {name:?}"))?;
         if ms.is_nan() || ms.abs() > MOST_MS {
-            return Err(format!("{ms} ms is no correction; at most {MOST_MS}"));
+            return Err(format!("{ms} ms is too much; at most {MOST_MS} ms"));
         }
         self.set_correction(camera, Nanos::rounded(ms * 1e6));
         let detail = format!("{ms:+.1} ms are added to its capture times from now on");
@@ -56,8 +56,8 @@ impl Core {
             self.give(stage::Input::Restart);
         }
         let detail = format!(
-            "{:+.1} ms are added to the capture times of all cameras, since frames come after their capture",
-            -by.ms()
+            "all corrections are lowered by {:.1} ms: no frame comes before its capture",
+            by.ms()
         );
         self.event(EventKind::TimeOffset, None, detail);
     }
@@ -112,7 +112,7 @@ impl Core {
         }
     }
 
-    /// Once a second: reports the kind of the clock, cameras that are left out, and those whose clocks
+    /// Once a second: keeps frames after their capture, and reports the kind of the clock, cameras that are left out, and those whose clocks
     /// are off from the others' by more than a quarter of a frame period.
     pub(super) fn watch_clocks(&mut self) {
         self.keep_frames_after_capture();
