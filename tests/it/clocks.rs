@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use bundlemocap::config::Config;
-use bundlemocap::core::body::Pose;
+use bundlemocap::core::body;
 use bundlemocap::core::time::Nanos;
-use bundlemocap::io::wire::{Event, KeypointSet, Status, Take, Topics, encode};
+use bundlemocap::io::wire::{Event, KeypointSet, Pose, Status, Take, Topics, encode};
 use bundlemocap::research::synth::{
     Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
 };
@@ -23,7 +23,7 @@ fn studio(people: usize, late: f64, end: f64) -> Vec<Sent> {
         let motion = match people {
             1 => {
                 let motion = Motion::new(&skeleton, MotionStyle::default());
-                Box::new(move |seconds| motion.pose(seconds)) as Box<dyn Fn(f64) -> Pose>
+                Box::new(move |seconds| motion.pose(seconds)) as Box<dyn Fn(f64) -> body::Pose>
             }
             _ => Box::new(motion),
         };
@@ -94,6 +94,11 @@ fn capture_times_are_corrected_when_ordered() {
         // The frames come so much later, and nothing else has changed.
         let by = latencies[1] - latencies[0];
         assert!((late..late + NETWORK + Nanos::from_ms(20)).contains(&by), "{by}");
+        if people == 1 {
+            let newest = world.heard.of::<Pose>(&Topics::default().provisional());
+            let newest = newest.iter().filter(|(time, _)| (at(8.0)..at(11.5)).contains(time));
+            assert!(newest.count() > 200, "of 210 frame sets");
+        }
         let events = world.heard.of::<Event>(&Topics::default().stage_events());
         let of_clocks = ["clock", "clock_jump", "clock_offset"];
         let wrong = |event: &Event| {

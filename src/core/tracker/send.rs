@@ -63,7 +63,8 @@ impl Tracker {
             return false;
         }
         let k = grid.at_or_before(complete_until + self.tolerance());
-        let end = grid.time(k).min(window.end);
+        // A late camera holds up the window, not the newest poses.
+        let end = grid.time(k).min(window.end + self.span());
         let last = self.newest.unwrap_or(window.start).max(window.start);
         let from_start = k - grid.nearest(window.start);
         let stride = if is_needed { 1 } else { self.effort.stride.max(1) };
