@@ -154,64 +154,49 @@ pub(super) fn roles(action: &str) -> &'static [&'static str] {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let name = arguments.name.clone().unwrap_or_default();
-    let place_m = match arguments.action {
-        Action::Follow => place(&name)?,
-        // Cameras may have any name.
-        Action::Mend | Action::Clock => Vec::new(),
-        _ if name.is_empty() => Vec::new(),
-        // An option that there is not.
-        _ if name.starts_with('-') => {
-            let why =
-                format!("{name:?} is not an option of `take`, and a NAME does not begin with `-`");
-            return Err(Failure::new(Exit::Usage, why));
-        }
-        _ => check_name("NAME", &name).map(|()| Vec::new())?,
+    let mut take = Take {
+        action: arguments.action.name().into(),
+        name: name.clone(),
+        note: arguments.note.clone(),
+        mark: arguments.mark.clone().unwrap_or_default(),
+        display_name: arguments.display_name.clone(),
+        colour: arguments.colour.clone(),
+        ..Take::default()
     };
-    let (mut new_name, mut offset_ms) = (String::new(), 0.0);
+    match arguments.action {
+        Action::Follow => take.place_m = place(&name)?,
+        // Cameras may have any name.
+        Action::Mend | Action::Clock => {}
+        _ if name.is_empty() => {}
+        _ if name.starts_with('-') => return Err(no_option(&name)),
+        _ => check_name("NAME", &name)?,
+    }
     match (arguments.action, &arguments.value) {
         (_, None) => {}
-        (Action::Name, Some(value)) if !value.starts_with('-') => {
-            check_name("NEW_NAME", value)?;
-            new_name.clone_from(value);
-        }
         (Action::Clock, Some(value)) => {
             let ms = value.parse().ok().filter(|ms: &f64| ms.is_finite());
             let why = || format!("clock needs milliseconds, such as -100, not {value:?}");
-            offset_ms = ms.ok_or_else(|| Failure::new(Exit::Usage, why()))?;
+            take.offset_ms = ms.ok_or_else(|| Failure::new(Exit::Usage, why()))?;
+        }
+        (_, Some(value)) if value.starts_with('-') => return Err(no_option(value)),
+        (Action::Name, Some(value)) => {
+            check_name("NEW_NAME", value)?;
+            take.new_name.clone_from(value);
         }
         (_, Some(value)) => {
-            let why = match value.starts_with('-') {
-                true => format!("{value:?} is not an option of `take`"),
-                false => {
-                    format!("{value:?} is one word too many: NEW_NAME is for name, MS for clock")
-                }
-            };
+            let why = format!("{value:?} is one word too many: NEW_NAME is for name, MS for clock");
             return Err(Failure::new(Exit::Usage, why));
         }
     }
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
-    if arguments.action == Action::Note && arguments.note.is_empty() && arguments.mark.is_none() {
+    if arguments.action == Action::Note && take.note.is_empty() && take.mark.is_empty() {
         return Err(Failure::new(Exit::Usage, "note needs --note, --mark, or both"));
     }
-    let (note, mark) = (arguments.note.clone(), arguments.mark.clone().unwrap_or_default());
-    let (display_name, colour) = (arguments.display_name.clone(), arguments.colour.clone());
-    if arguments.action != Action::Label && !(display_name.is_empty() && colour.is_empty()) {
+    let is_shown = !(take.display_name.is_empty() && take.colour.is_empty());
+    if arguments.action != Action::Label && is_shown {
         return Err(Failure::new(Exit::Usage, "--display-name and --colour are for label"));
     }
-    let action = arguments.action.name().into();
-    let take = Take {
-        id: 0,
-        action,
-        name,
-        note,
-        mark,
-        display_name,
-        colour,
-        new_name,
-        place_m,
-        offset_ms,
-    };
     let slate = Slate::open(&*bus, &topics(&config))?;
     std::thread::sleep(LEAD);
     let answers = answered(&slate, take, arguments.action.roles())?;
@@ -232,6 +217,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
     let is_done = missing.is_empty() && answers.iter().all(|answer| !answer.refused);
     Ok(if is_done { Exit::Done } else { Exit::InPart })
+}
+
+/// A word that begins with `-`: a name does not.
+fn no_option(word: &str) -> Failure {
+    let why = format!("{word:?} is not an option of `take`, and a NAME does not begin with `-`");
+    Failure::new(Exit::Usage, why)
 }
 
 /// The place of a text such as `1.2,-0.5`.

@@ -108,19 +108,9 @@ impl Slate {
             _ => false,
         };
         let id = id.into();
-        let offset_ms = 0.0;
-        let take = Take {
-            id,
-            action,
-            name,
-            note,
-            mark,
-            display_name,
-            colour,
-            new_name,
-            place_m,
-            offset_ms,
-        };
+        let mut take = Take { id, action, name, note, mark, ..Take::default() };
+        (take.display_name, take.colour) = (display_name, colour);
+        (take.new_name, take.place_m) = (new_name, place_m);
         is_sound.then_some(take)
     }
 }

@@ -3,44 +3,24 @@
 use std::ops::Range;
 
 use bundlemocap::config::Config;
-use bundlemocap::core::body;
 use bundlemocap::core::time::Nanos;
 use bundlemocap::io::wire::{Event, KeypointSet, Pose, Status, Take, Topics, encode};
-use bundlemocap::research::synth::{
-    Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
-};
+use bundlemocap::research::synth::Noise;
 
-use crate::live::{NETWORK, START, Sent, Studio, World, at};
+use crate::live::{NETWORK, START, Sent, World, at, performers};
 use crate::slate::{answers, assert_agrees, from, recorded, replayed};
 
-/// What four cameras send of that many performers up to the end. The frames of the last one come late, by so many seconds,
-/// and its times are those of the arrival.
+/// What four cameras send of that many performers up to the end. The frames of the last one come late, by so many
+/// seconds, and its times are those of the arrival.
 fn studio(people: usize, late: f64, end: f64) -> Vec<Sent> {
-    let meeting = Meeting { people, distance: Some(0.7) };
-    let rig = if people == 1 { ring_rig(4, 4.0, 1.6) } else { meeting.rig(4) }.unwrap();
-    let one = |person| {
-        let (skeleton, motion) = meeting.person(person, 5);
-        let motion = match people {
-            1 => {
-                let motion = Motion::new(&skeleton, MotionStyle::default());
-                Box::new(move |seconds| motion.pose(seconds)) as Box<dyn Fn(f64) -> body::Pose>
-            }
-            _ => Box::new(motion),
-        };
-        let mut one = Recording::new(rig.clone(), skeleton, motion);
+    let mut studio = performers(people, |one| {
         (one.fps, one.frames) = (60.0, (60.0 * end) as u64);
         (one.noise, one.start) = (Noise::clean(), START);
-        one
-    };
-    let crowd = Crowd::new((0..people).map(one).collect());
-    let frames = crowd.detections().map(|(mut frame, _)| {
-        if frame.camera == 3 {
-            frame.capture = frame.capture + Nanos::rounded(1e9 * late);
-        }
-        frame
     });
-    let frames = frames.collect();
-    Studio { rig, frames }.messages()
+    for frame in studio.frames.iter_mut().filter(|frame| frame.camera == 3) {
+        frame.capture = frame.capture + Nanos::rounded(1e9 * late);
+    }
+    studio.messages()
 }
 
 fn order(camera: &str, offset_ms: f64, seconds: f64) -> Sent {

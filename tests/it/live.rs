@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bundlemocap::config::Config;
-use bundlemocap::core::body::Skeleton;
+use bundlemocap::core::body::{self, Skeleton};
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
@@ -20,7 +20,9 @@ use bundlemocap::io::wire::{
 use bundlemocap::live::{
     Core, Input, Loss, Output, Recorded, Replayed, Settings, find_node, replay,
 };
-use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use bundlemocap::research::synth::{
+    Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
+};
 
 const MS: Nanos = Nanos::from_ms(1);
 const SECOND: Nanos = Nanos::SECOND;
@@ -256,6 +258,32 @@ impl Studio {
         let frames = self.frames.iter().map(|frame| self.message(frame));
         std::iter::once(self.rig()).chain(frames).collect()
     }
+}
+
+/// What four cameras see of that many performers, whose recordings `set` changes: of one who walks, or of several who
+/// meet at arm's length.
+pub fn performers(
+    people: usize,
+    set: impl Fn(&mut Recording<Box<dyn Fn(f64) -> body::Pose>>),
+) -> Studio {
+    let meeting = Meeting { people, distance: Some(0.7) };
+    let rig = if people == 1 { ring_rig(4, 4.0, 1.6) } else { meeting.rig(4) }.unwrap();
+    let one = |person| {
+        let (skeleton, motion) = meeting.person(person, 5);
+        let motion: Box<dyn Fn(f64) -> body::Pose> = match people {
+            1 => {
+                let motion = Motion::new(&skeleton, MotionStyle::default());
+                Box::new(move |seconds| motion.pose(seconds))
+            }
+            _ => Box::new(motion),
+        };
+        let mut one = Recording::new(rig.clone(), skeleton, motion);
+        set(&mut one);
+        one
+    };
+    let crowd = Crowd::new((0..people).map(one).collect());
+    let frames = crowd.detections().map(|(frame, _)| frame).collect();
+    Studio { rig, frames }
 }
 
 pub fn at(seconds: f64) -> Timestamp {

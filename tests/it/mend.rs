@@ -1,18 +1,15 @@
 //! A camera that is bumped while the node runs, in simulated time.
 
 use bundlemocap::config::Config;
-use bundlemocap::core::body::Pose;
 use bundlemocap::core::camera::{Camera, Rig};
 use bundlemocap::core::so3;
 use bundlemocap::core::time::Nanos;
 use bundlemocap::io::wire::{
     self, CameraCounters, Event, Status, TakeAnswer, Topics, decode, encode,
 };
-use bundlemocap::research::synth::{
-    Crowd, Meeting, Motion, MotionStyle, Noise, Recording, bumped, ring_rig,
-};
+use bundlemocap::research::synth::{Noise, bumped};
 
-use crate::live::{START, Sent, Studio, World, at};
+use crate::live::{START, Sent, World, at, performers};
 use crate::slate::{assert_agrees, recorded, replayed, slate};
 
 /// When the last of four cameras is bumped, seconds.
@@ -20,27 +17,13 @@ const BUMP: f64 = 40.0;
 
 /// What the cameras send of that many performers up to the end, and the bumped camera.
 fn studio(noise: &Noise, people: usize, end: f64) -> (Vec<Sent>, Camera) {
-    let meeting = Meeting { people, distance: Some(0.7) };
-    let rig = if people == 1 { ring_rig(4, 4.0, 1.6) } else { meeting.rig(4) }.unwrap();
-    let one = |person| {
-        let (skeleton, motion) = meeting.person(person, 5);
-        let motion = match people {
-            1 => {
-                let motion = Motion::new(&skeleton, MotionStyle::default());
-                Box::new(move |seconds| motion.pose(seconds)) as Box<dyn Fn(f64) -> Pose>
-            }
-            _ => Box::new(motion),
-        };
-        let mut one = Recording::new(rig.clone(), skeleton, motion);
+    let studio = performers(people, |one| {
         (one.fps, one.frames) = (30.0, (30.0 * end) as u64);
         (one.noise, one.start) = (noise.clone(), START + Nanos::from_ms(30));
         one.bump = Some(BUMP);
-        one
-    };
-    let crowd = Crowd::new((0..people).map(one).collect());
-    let frames = crowd.detections().map(|(frame, _)| frame).collect();
-    let camera = bumped(&rig.cameras[3]);
-    (Studio { rig, frames }.messages(), camera)
+    });
+    let camera = bumped(&studio.rig.cameras[3]);
+    (studio.messages(), camera)
 }
 
 /// The counters of the bumped camera, by second.

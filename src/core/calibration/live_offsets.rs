@@ -26,7 +26,7 @@ const CERTAIN: f64 = 0.06;
 /// Largest correction per section, steps: 0.3 frames.
 const LARGEST: f64 = 0.1;
 
-/// What is new about the clock of a camera.
+/// What is new about the clock of a camera, which is an index in the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum News {
     /// It is off, and is corrected step by step.
@@ -154,7 +154,7 @@ impl LiveOffsets {
     }
 }
 
-/// The first sections, in which offsets are searched.
+/// The first sections, in which offsets of many frames are searched.
 #[derive(Clone, Debug, Default)]
 struct First {
     sections: Vec<Vec<Track>>,

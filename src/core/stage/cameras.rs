@@ -83,8 +83,8 @@ impl Stage {
         }
     }
 
-    /// Live: the capture times of a camera are corrected by so much from here on, beyond its calibration and in place of
-    /// the correction so far.
+    /// Live: the capture times of a camera, by its index in the rig, are corrected by so much from here on, beyond its
+    /// calibration and in place of the correction so far. Without that camera, nothing happens.
     pub fn correct_times(&mut self, camera: usize, correction: Nanos) {
         if let (Some(crowd), Some(before)) = (&mut self.crowd, self.corrections.get_mut(camera)) {
             crowd.shift_time(camera, correction - std::mem::replace(before, correction));

@@ -146,8 +146,8 @@ impl Intake {
         (vec![frame], stray)
     }
 
-    /// The capture times of a camera are so much later from here on; also those of its frames that wait. Returns those that
-    /// are late now.
+    /// The capture times of a camera are so much later from here on; also those of its frames that wait. Returns an
+    /// event for each of these that is late now.
     pub(in crate::core) fn shift(&mut self, camera: usize, by: Nanos) -> Vec<Event> {
         let seen = self.cameras.get_mut(camera).filter(|_| by != Nanos::ZERO);
         let Some(seen) = seen else { return Vec::new() };
@@ -161,20 +161,20 @@ impl Intake {
         let (own, others): (Frames, Frames) =
             std::mem::take(&mut self.frames).into_iter().partition(|(key, _)| is_own(key));
         self.frames = others;
-        let mut late = Vec::new();
+        let mut events = Vec::new();
         for mut frame in own.into_values() {
             let own = Arc::make_mut(&mut frame);
             own.capture = own.capture + by;
-            match self.is_late(&frame) {
-                Some(event) => late.push(event),
+            match self.late(&frame) {
+                Some(event) => events.push(event),
                 None => drop(self.frames.insert((frame.capture, camera, frame.frame), frame)),
             }
         }
-        late
+        events
     }
 
-    /// The event of a frame that is late.
-    fn is_late(&self, frame: &Detections) -> Option<Event> {
+    /// The event of a frame, if it is late.
+    fn late(&self, frame: &Detections) -> Option<Event> {
         self.closed.filter(|closed| frame.capture <= *closed)?;
         let detail = format!("frame {} after its window closed", frame.frame);
         Some(of_frame(frame, EventKind::Late, detail))
@@ -197,7 +197,7 @@ impl Intake {
             let detail = format!("{} in a stream of {}", frame.format.name(), format.name());
             return event(EventKind::Unusable, detail);
         }
-        if let Some(late) = self.is_late(&frame) {
+        if let Some(late) = self.late(&frame) {
             return Some(late);
         }
         let newest = self.newest().map(|newest| now.map_or(newest, |now| now.max(newest)));
@@ -387,6 +387,7 @@ impl Intake {
     }
 }
 
+/// An event of a frame.
 fn of_frame(frame: &Detections, kind: EventKind, detail: String) -> Event {
     let (capture, camera) = (frame.capture, Some(frame.camera));
     Event { capture, kind, camera, window: None, count: 1, detail }

@@ -299,8 +299,8 @@ impl Tracker {
         self
     }
 
-    /// Corrects the capture times of a camera by so much, in place of its correction so far; also those of its frames that
-    /// wait.
+    /// Corrects the capture times of a camera by so much, in place of its correction so far; also those of its frames
+    /// that wait.
     pub(in crate::core) fn correct_times(&mut self, camera: usize, correction: Nanos) {
         let Some(before) = self.time_corrections().get(camera) else { return };
         let by = correction - *before;

@@ -7,7 +7,7 @@ use crate::core::tracker::EventKind;
 use crate::live::clock::camera::LeftOut;
 
 /// The largest correction of capture times, milliseconds.
-const MOST_MS: f64 = 60_000.0;
+const MOST_CORRECTION_MS: f64 = 60_000.0;
 
 /// After a step back by more, tracking begins anew.
 const FAR: Nanos = Nanos::from_ms(250);
@@ -30,13 +30,13 @@ impl Core {
         corrections.and_then(|all| all.get(camera)).copied().unwrap_or_default()
     }
 
-    /// Corrects the capture times of a camera by so many milliseconds, in place of the correction so far. Returns what was
-    /// done.
+    /// Corrects the capture times of a camera by so many milliseconds, in place of the correction so far. Returns what
+    /// was done.
     pub(super) fn correct_times(&mut self, name: &str, ms: f64) -> Result<String, String> {
         let camera = self.cameras.iter().position(|camera| camera.name() == name);
         let camera = camera.ok_or_else(|| format!("no camera has the name {name:?}"))?;
-        if ms.is_nan() || ms.abs() > MOST_MS {
-            return Err(format!("{ms} ms is too much; at most {MOST_MS} ms"));
+        if ms.is_nan() || ms.abs() > MOST_CORRECTION_MS {
+            return Err(format!("{ms} ms is too much; at most {MOST_CORRECTION_MS} ms"));
         }
         self.set_correction(camera, Nanos::rounded(ms * 1e6));
         let detail = format!("{ms:+.1} ms are added to its capture times from now on");
@@ -44,8 +44,8 @@ impl Core {
         Ok(format!("{name}: {detail}"))
     }
 
-    /// If a correction makes the frames of a camera come before their capture time, the other cameras are late: all are
-    /// corrected by so much.
+    /// If a correction makes the frames of a camera come before their capture time, the other cameras are late: all
+    /// corrections are lowered by as much.
     fn keep_frames_after_capture(&mut self) {
         let Some(by) = self.clock.too_early() else { return };
         for camera in 0..self.cameras.len() {
@@ -112,8 +112,8 @@ impl Core {
         }
     }
 
-    /// Once a second: keeps frames after their capture, and reports the kind of the clock, cameras that are left out, and those whose clocks
-    /// are off from the others' by more than a quarter of a frame period.
+    /// Once a second: keeps frames after their capture, and reports the kind of the clock, cameras that are left out,
+    /// and those whose clocks are off from the others' by more than a quarter of a frame period.
     pub(super) fn watch_clocks(&mut self) {
         self.keep_frames_after_capture();
         if let Some(detail) = self.clock.news(self.now) {

@@ -1,0 +1,179 @@
+//! What `run` says about its cameras: where they send if the node hears none, and whether they fit. Wrong clocks are
+//! corrected.
+
+mod clocks;
+mod silence;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::clock::ATTENTION;
+use crate::cli::tools::inbox::Inbox;
+use crate::cli::tools::survey::{other_stages, survey};
+use crate::core::camera::Rig;
+use crate::core::tracker::Config;
+use crate::diagnose::{Check, Evidence};
+use crate::io::bus::{Bus, BusError};
+use crate::io::wire::{self, KeypointFrame, Topics, decode};
+use crate::live::Monitor;
+use clocks::{Clocks, are_same, corrected, corrections};
+use silence::Silence;
+
+/// If no camera was heard for this long, others are looked for, for so long, and again after a while.
+const PATIENCE: Duration = Duration::from_secs(5);
+const SURVEY: Duration = Duration::from_secs(1);
+const AGAIN: Duration = Duration::from_secs(60);
+/// Cameras are judged when each has seen somebody in this many frames, and not before this time. If
+/// only two or more of them have, the others get some time to do so.
+const FRAMES: usize = 300;
+const LEAST: Duration = Duration::from_secs(5);
+const CHANCE: Duration = Duration::from_secs(30);
+
+/// Looks after the cameras of a node until it is over, and corrects their clocks if `corrects`. Its thread gives way to
+/// all others. It ends soon after: a running check, which may take seconds, has a thread of its own that nothing waits
+/// for.
+///
+/// # Errors
+/// The bus refuses a subscription.
+pub(super) fn look(
+    bus: &dyn Bus,
+    topics: &Topics,
+    node: &Monitor,
+    corrects: bool,
+    is_over: impl Fn() -> bool,
+) -> Result<(), BusError> {
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::nice(19);
+    let mut at = Instant::now() + PATIENCE;
+    let mut judged = None;
+    let (mut rig_of_clocks, mut clocks) = (Vec::new(), Clocks::default());
+    let mut silence = Silence::default();
+    while !is_over() {
+        std::thread::sleep(ATTENTION);
+        let status = node.status().unwrap_or_default();
+        for camera in silence.returned(&status) {
+            judged = None;
+            clocks.forget(&camera);
+        }
+        if status.cameras.iter().all(|camera| camera.age_s == 0.0) {
+            if Instant::now() >= at {
+                search(bus, &topics.stage, &is_over)?;
+                at = Instant::now() + AGAIN;
+            }
+            continue;
+        }
+        let Some(bytes) = node.rig().filter(|rig| Some(rig) != judged.as_ref()) else { continue };
+        let rig = decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core());
+        let Ok(rig) = rig else { continue };
+        if rig_of_clocks != bytes {
+            (rig_of_clocks, clocks) = (bytes.clone(), Clocks::default());
+        }
+        let goes_on = || !is_over() && node.rig().as_ref() == Some(&bytes);
+        let corrected_rig = corrected(&rig, &corrections(node));
+        if let Some(evidence) = watch(bus, topics, &corrected_rig, goes_on)? {
+            let before = corrections(node);
+            let rig = corrected(&rig, &before);
+            let check = std::thread::spawn(move || evidence.check(&rig));
+            while !check.is_finished() {
+                if is_over() {
+                    return Ok(());
+                }
+                std::thread::sleep(ATTENTION);
+            }
+            let now = corrections(node);
+            if !are_same(&before, &now) {
+                // Motion, or somebody, has corrected the clocks meanwhile.
+                continue;
+            }
+            let mut orders = Vec::new();
+            if let Ok(check) = check.join() {
+                say(&check);
+                if corrects {
+                    orders = clocks.orders(&check, &now);
+                }
+            }
+            // Corrected clocks are judged again.
+            judged = (orders.is_empty() && !clocks.are_tried()).then_some(bytes);
+            orders.iter().for_each(|order| node.order(order));
+        }
+    }
+    Ok(())
+}
+
+/// Says what is on the bus while no camera sends on this stage.
+fn search(bus: &dyn Bus, stage: &str, is_over: impl Fn() -> bool) -> Result<(), BusError> {
+    let seen = survey(bus, SURVEY, || !is_over())?;
+    if is_over() || seen.keys().any(|(of, _)| of == stage) {
+        return Ok(());
+    }
+    match &*other_stages(&seen, stage) {
+        [] => tracing::warn!(
+            "no camera sends keypoints; start the detectors, and connect them to this address"
+        ),
+        others => tracing::warn!(
+            "no camera sends on stage {stage}, but on {}; set [node] stage here or theirs",
+            others.join(", ")
+        ),
+    }
+    Ok(())
+}
+
+/// What the cameras send, enough to judge them; `None` if it does not go on for long enough.
+fn watch(
+    bus: &dyn Bus,
+    topics: &Topics,
+    rig: &Rig,
+    goes_on: impl Fn() -> bool,
+) -> Result<Option<Evidence>, BusError> {
+    let inbox = Inbox::open(bus, &topics.keypoints("*"))?;
+    let begin = Instant::now();
+    let mut evidence = Evidence::new(Arc::new(rig.clone()), Config::default(), None);
+    let mut since = None;
+    while goes_on() {
+        let Some(received) = inbox.next(ATTENTION) else { continue };
+        let frame = decode::<KeypointFrame>(&received.sample.payload).ok();
+        let frame = frame.and_then(|frame| frame.to_core(|name| rig.index_of(name)).ok());
+        let Some(frame) = frame else { continue };
+        evidence.add(&frame, 0);
+        let now = begin.elapsed();
+        let Some(patience) = patience(evidence.with_people()) else { continue };
+        if now - *since.get_or_insert(now) >= patience && now >= LEAST {
+            return Ok(Some(evidence));
+        }
+    }
+    Ok(None)
+}
+
+/// How long to wait before cameras are judged that have seen somebody in that many frames each; `None`:
+/// not yet known.
+fn patience(with_people: &[usize]) -> Option<Duration> {
+    match with_people.iter().filter(|count| **count >= FRAMES).count() {
+        all if all == with_people.len() => Some(Duration::ZERO),
+        2.. => Some(CHANCE),
+        _ => None,
+    }
+}
+
+fn say(check: &Check) {
+    for warning in check.warnings() {
+        tracing::warn!("{warning}");
+    }
+    if check.is_clean() {
+        let height = check
+            .performer_height_m
+            .map_or(String::new(), |height| format!(", the performer is {height:.2} m high"));
+        tracing::info!("the cameras fit each other{height}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_that_just_begin_are_not_judged_yet() {
+        assert_eq!(patience(&[FRAMES, FRAMES - 1, 0]), None);
+        assert_eq!(patience(&[FRAMES, 0, FRAMES]), Some(CHANCE));
+        assert_eq!(patience(&[FRAMES; 3]), Some(Duration::ZERO));
+    }
+}
