@@ -13,7 +13,6 @@ use super::rig::{ConventionArguments, tell};
 use super::solve::Progress;
 use super::terminal::{complain, note, progress, say, table};
 use crate::core::camera::Rig;
-use crate::core::time::Timestamp;
 use crate::diagnose::Check;
 use crate::io::formats::{
     Auto, Calibration, CameraReport, DetectionFolder, DetectionOptions, FolderMatch, ImportError,
@@ -32,6 +31,7 @@ FOLDER holds a subfolder or a file for each camera, found by content:
   MMPose                 a JSON file for each frame, or one for all
   AlphaPose, COCO        a JSON file for all frames
   Ultralytics YOLO       a JSON file or a text file (labels) for each frame
+  EasyMocap              a JSON file for each frame (annots)
   MediaPipe              a JSON file for each frame or one for all: lists of x, y, visibility
   DeepLabCut             a CSV or h5 for all frames
   FreeMoCap              its recording folder, or the .npy with the 2D data of all cameras
@@ -264,11 +264,12 @@ impl Imported {
             writer.keypoints(&detections, &camera.name, [camera.width, camera.height])?;
             bar.inc(1);
         }
+        bar.finish_and_clear();
         if !has_rig {
-            writer.rig(rig, Timestamp::default())?;
+            folder.notes().iter().for_each(|note| complain("note", note));
+            return Err(ImportError::NoPeople { path: path.to_owned() }.into());
         }
         writer.finish()?;
-        bar.finish_and_clear();
         let check = check(out).map(|mut check| {
             // The folder's notes say which cameras have no files.
             for (index, camera) in check.cameras.iter_mut().enumerate() {
@@ -532,7 +533,7 @@ fn found(report: &CameraReport) -> String {
         (report.frames_without_people, "frames without people"),
         (report.people_without_points, "skipped people without points"),
         (report.non_finite_points, "skipped points that are not finite"),
-        (report.clamped_confidences, "confidences above 1 set to 1"),
+        (report.confidences_above_1, "confidences above 1, used as 1"),
     ];
     for (count, what) in oddities.into_iter().filter(|(count, _)| *count > 0) {
         text += &format!("; {count} {what}");

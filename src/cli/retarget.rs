@@ -7,13 +7,15 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
-use super::export::{Solved, path_of, read};
+use super::export::{Solved, first_pose, near, on_grid, path_of, read};
 use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, is_same_file};
 use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
+use super::span::Times;
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
+use crate::core::time::Timestamp;
 use crate::offline::Motion;
 use crate::retarget::{Convention, Map, Retarget, RetargetError, Target};
 
@@ -31,7 +33,9 @@ MotionBuilder, Unity, Daz, Unreal, Biped and this program are known; a TOML file
 
 Live poses are published on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C or SIGTERM. With
 --out they are written meanwhile, to a hidden .part file that is then renamed. Several performers have
-a file each: take1.p1.bvh, take1.p2.bvh. --actor chooses one.
+a file each: take1.p1.bvh, take1.p2.bvh. --actor chooses one. All files of a recording begin at its
+first frame, those of live poses at the first pose of all; before a performer's first pose they
+repeat it, for at most ten minutes.
 
 Examples:
   bundlemocap retarget --skeleton robot.bvh
@@ -107,8 +111,10 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
     for Motion { actor, .. } in &performers {
         arguments.overwrite.check(&path_of(out, several.then_some(actor)))?;
     }
+    let take = Times::of(from, None)?.first;
+    let start = first_pose(&performers).map_or(take, |pose| on_grid(pose, near(pose.0, take)));
     for one in &performers {
-        write(retarget, one, &path_of(out, several.then_some(&one.actor)))?;
+        write(retarget, one, &path_of(out, several.then_some(&one.actor)), start)?;
     }
     if damage.is_empty() {
         return Ok(Exit::Done);
@@ -117,10 +123,15 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
     Ok(Exit::InPart)
 }
 
-/// Writes the retargeted poses, sorted by capture time.
-fn write(retarget: &mut Retarget, one: &Motion, out: &Path) -> Result<(), Failure> {
+/// Writes the retargeted poses, sorted by capture time, to a file that begins at `start`.
+fn write(
+    retarget: &mut Retarget,
+    one: &Motion,
+    out: &Path,
+    start: Timestamp,
+) -> Result<(), Failure> {
     let Motion { skeleton, poses, fps, .. } = one;
-    let mut file = TargetFile::new(out, Some(*fps));
+    let mut file = TargetFile::new(out, Some(*fps), start);
     for pose in poses {
         let figure = retarget.apply(&pose.pose(), skeleton)?;
         file.add(pose.capture, &figure, retarget)?;
@@ -146,6 +157,10 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     check_name("--name", &name)?;
     if let Some(out) = &arguments.out {
         arguments.overwrite.check(out)?;
+        // The performers are not known yet.
+        for path in files_of_performers(out) {
+            arguments.overwrite.check(&path)?;
+        }
     }
     let config = arguments.bus.settings()?;
     let topics = arguments.bus.topics(&config);
@@ -177,6 +192,19 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     let fix = "check --stage, --actor and whether the node runs";
     complain("warning", &format!("{} not written: no poses arrived; {fix}", out.display()));
     Ok(Exit::InPart)
+}
+
+/// Existing files that may be of a performer, as [`path_of`] names them.
+fn files_of_performers(out: &Path) -> Vec<PathBuf> {
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let all = std::fs::read_dir(folder.unwrap_or(Path::new("."))).into_iter().flatten().flatten();
+    let is_of = |path: &PathBuf| {
+        let stem = path.file_stem().map(Path::new);
+        path.extension() == out.extension()
+            && stem.and_then(Path::file_stem) == out.file_stem()
+            && stem.is_some_and(|stem| stem.extension().is_some())
+    };
+    all.map(|entry| entry.path()).filter(is_of).collect()
 }
 
 /// The file name without its extension, as a part of a topic.

@@ -16,6 +16,7 @@ const FIRST: usize = 120;
 pub(super) struct TargetFile {
     path: PathBuf,
     fps: Option<f64>,
+    start: Timestamp,
     /// Poses before the frame rate is known.
     waiting: Vec<(Timestamp, Vec<f64>)>,
     open: Option<(HierarchyWriter, Fill)>,
@@ -32,11 +33,12 @@ pub(super) struct Written {
 }
 
 impl TargetFile {
-    /// A file of that frame rate, or else of that of its first poses.
-    pub(super) fn new(path: &Path, fps: Option<f64>) -> Self {
+    /// A file that begins at `start`, of that frame rate, or else of that of its first poses.
+    pub(super) fn new(path: &Path, fps: Option<f64>, start: Timestamp) -> Self {
         Self {
             path: path.to_owned(),
             fps,
+            start,
             waiting: Vec::new(),
             open: None,
             channels: Channels::default(),
@@ -49,7 +51,7 @@ impl TargetFile {
         &self.path
     }
 
-    /// Adds a pose; skips it if it was captured before the last one. Gaps repeat the pose before.
+    /// Adds a pose; skips it if it was captured before the last one. Gaps repeat the pose before, or the first one.
     pub(super) fn add(
         &mut self,
         capture: Timestamp,
@@ -73,13 +75,13 @@ impl TargetFile {
                 let captures: Vec<Timestamp> = self.waiting.iter().map(|(at, _)| *at).collect();
                 let fps = *self.fps.get_or_insert(rate(&captures).unwrap_or(60.0));
                 let writer = HierarchyWriter::create(&self.path, retarget.target().bvh(), fps)?;
-                self.open.insert((writer, Fill::new(fps)))
+                self.open.insert((writer, Fill::new(fps).from(self.start)))
             }
         };
         for (capture, values) in self.waiting.drain(..) {
             let gap = fill.gap_before(capture);
             for _ in 0..gap {
-                self.last.iter().try_for_each(|(_, values)| writer.write(values))?;
+                writer.write(self.last.as_ref().map_or(&values, |(_, values)| values))?;
             }
             writer.write(&values)?;
             self.last = Some((capture, values));

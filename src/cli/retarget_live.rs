@@ -9,6 +9,7 @@ use std::time::Duration;
 use prost::Name;
 
 use super::clock::{ATTENTION, Stop};
+use super::export::near;
 use super::failure::Failure;
 use super::retarget_file::TargetFile;
 use super::terminal::complain;
@@ -38,6 +39,8 @@ pub(super) struct Retargeted {
     /// The last skeleton.
     pub(super) skeleton: Option<Skeleton>,
     pub(super) file: Option<TargetFile>,
+    /// Path of the file.
+    path: Option<PathBuf>,
     publisher: Box<dyn Publisher>,
 }
 
@@ -45,6 +48,8 @@ pub(super) struct Retargeted {
 #[derive(Default)]
 pub(super) struct Served {
     pub(super) performers: BTreeMap<String, Retargeted>,
+    /// Capture time of the first pose of all.
+    first: Option<Timestamp>,
     /// Published poses.
     pub(super) published: u64,
     /// Poses that arrived before the first skeleton.
@@ -129,7 +134,8 @@ impl<'a> Live<'a> {
             Entry::Vacant(new) => new.insert(Retargeted {
                 retarget: self.retarget.clone(),
                 skeleton: None,
-                file: (self.out)(&topics.actor).map(|path| TargetFile::new(&path, None)),
+                file: None,
+                path: (self.out)(&topics.actor),
                 publisher: self.bus.publisher(&topics.retargeted(self.name))?,
             }),
         }))
@@ -138,16 +144,19 @@ impl<'a> Live<'a> {
     fn put(&self, received: &Received, served: &mut Served) -> Result<(), Failure> {
         let pose = wire::<Pose>(received).and_then(|wire| Ok((wire.to_core()?, wire)));
         let Some((stamped, wire)) = served.unusable.value(pose) else { return Ok(()) };
+        let capture = stamped.capture;
+        let first = *served.first.get_or_insert(capture);
         let Some(one) = self.performer(received, served)? else { return Ok(()) };
-        let Retargeted { retarget, skeleton: Some(skeleton), file, publisher } = one else {
+        let Retargeted { retarget, skeleton: Some(skeleton), file, path, publisher } = one else {
             served.early += 1;
             return Ok(());
         };
         let figure = retarget.apply(&stamped.pose, skeleton)?;
         let message = figure.message(&wire, retarget.target());
         let encoding = media_type(&RetargetedPose::full_name());
-        let capture = Timestamp::from_ns(wire.capture_time_ns);
-        if let Some(file) = file {
+        if let Some(path) = path {
+            let new = || TargetFile::new(path, None, near(capture, first));
+            let file = file.get_or_insert_with(new);
             file.add(capture, &figure, retarget)?;
         }
         match publisher.put(capture, &encoding, &encode(&message)) {

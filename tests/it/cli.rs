@@ -975,9 +975,13 @@ fn who_enters_late_is_no_failure() {
     let trc = read_trajectories(&place.path("a.trc"), None).unwrap();
     let empty = trc.rows.iter().take_while(|row| row.iter().all(Option::is_none)).count();
     assert_eq!((trc.rows.len(), empty), (240, first));
+    assert_eq!(trc.first_frame, 0.0);
     let line = &place.lines("a.csv")[1];
     assert!(line.starts_with(&format!("{:.6},", first as f64 / 60.0)), "{line}");
     let bvh = Bvh::parse(&fs::read_to_string(place.path("a.bvh")).unwrap()).unwrap();
+    place.done("retarget --skeleton a.bvh --from out/poses.mcap --out b.bvh");
+    let other = Bvh::parse(&fs::read_to_string(place.path("b.bvh")).unwrap()).unwrap();
+    assert_eq!((other.frames(), other.posture(0)), (240, other.posture(first)));
     assert_eq!(bvh.frames(), 240);
 }
 

@@ -293,8 +293,9 @@ fn uneven_folders_merge_by_capture_time_and_faults_are_counted() {
     let order: Vec<_> = all.iter().map(|d| (d.frame, d.camera)).collect();
     assert_eq!(order, [(3, 1), (5, 0), (7, 0), (10, 0)]);
     assert_eq!(all[0].capture.ns(), 60_000_000);
-    let clamped = all[2].people[0].points[0].unwrap();
-    assert_eq!((clamped.pixel.x, clamped.confidence), (1.0, 1.0));
+    // What reads the recording uses it as 1, and says so if most are so high.
+    let high = all[2].people[0].points[0].unwrap();
+    assert_eq!((high.pixel.x, high.confidence), (1.0, 1.5));
     assert_eq!(all[2].people.len(), 1);
     assert!(all[3].people.iter().all(|p| p.points[0].is_none() && p.points[1].is_some()));
     let rates = |camera: &str| DetectionOptions {
@@ -311,7 +312,7 @@ fn uneven_folders_merge_by_capture_time_and_faults_are_counted() {
     let [first, second] = stream.reports() else { panic!("two cameras") };
     assert_eq!((first.frames, first.first_frame, first.last_frame, first.gaps), (3, 5, 10, 3));
     assert_eq!((first.people, first.people_without_points), (3, 1));
-    assert_eq!((first.points, first.non_finite_points, first.clamped_confidences), (49, 1, 1));
+    assert_eq!((first.points, first.non_finite_points, first.confidences_above_1), (49, 1, 1));
     assert_eq!((first.frames_without_people, first.broken_files), (1, 0));
     assert_eq!((second.frames, second.gaps, second.broken_files), (2, 3, 1));
     assert_eq!(second.frames_without_people, 0);
@@ -634,6 +635,12 @@ fn all_forms_of_the_same_detections_are_read_alike() {
             }),
         ),
         ("triples", Box::new(|frame| each(&|p| json!({ "keypoints": p }), frame))),
+        (
+            "easymocap",
+            Box::new(
+                |frame| json!({ "filename": "", "annots": each(&|p| json!({ "bbox": [], "keypoints": p }), frame) }),
+            ),
+        ),
     ];
     let mut forms = Vec::new();
     for (name, form) in by_frame {
@@ -692,6 +699,15 @@ fn all_forms_of_the_same_detections_are_read_alike() {
                 camera.iter().map(|frame| each(&mmpose, frame)).collect::<Value>().to_string()
             }),
         ),
+        (
+            "numbered frames",
+            "cam{}.json",
+            Box::new(|camera| {
+                let frame = |(f, frame): (usize, &Vec<_>)| json!({ "people": each(&mmpose, frame), "frame_idx": f });
+                let frames = camera.iter().enumerate().rev().map(frame).collect::<Value>();
+                format!("\u{feff}{frames}")
+            }),
+        ),
     ];
     for (name, file, form) in of_camera {
         let root = TempDir::new().unwrap();
@@ -731,6 +747,58 @@ fn all_forms_of_the_same_detections_are_read_alike() {
     let in_csv = read_back(&root.path().join("pose/all.csv"), None);
     let expected = expected.iter().filter(|(_, _, people)| !people.is_empty());
     assert_eq!(in_csv, expected.cloned().collect::<Vec<_>>());
+}
+
+#[test]
+fn rows_of_a_table_are_frames_by_their_number() {
+    let root = TempDir::new().unwrap();
+    // As SLEAP writes it: two tracks, and nobody in frame 101.
+    let rows = "a,100,0.9,1,2,0.5\nb,100,0.9,3,4,0.5\na,102,0.9,1,2,0.5\n";
+    let text =
+        |field: &str| format!("track,{field},instance.score,nose.x,nose.y,nose.score\n{rows}");
+    let rig = small_rig(&["cam1", "cam2"]);
+    let open = || {
+        let options = DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+        DetectionFolder::open(root.path(), &rig, options)
+    };
+    for field in ["frame_idx", "Frame#", "frameIndex", "frame number"] {
+        write(root.path(), "cam1.csv", &text(field));
+        write(root.path(), "cam2.csv", &text(field).replace("100", "99"));
+        let mut folder = open().unwrap();
+        let read = folder.by_ref().map(Result::unwrap);
+        let read: Vec<_> = read.map(|d| (d.frame, d.camera, d.people.len())).collect();
+        assert_eq!(read, [(99, 1, 2), (100, 0, 2), (102, 0, 1), (102, 1, 1)], "{field}");
+        let said = folder.notes().join("\n");
+        assert!(said.contains("the first frame of all is 99"), "{said}");
+    }
+    write(root.path(), "cam2.csv", &text("time"));
+    let error = open().err().unwrap().to_string();
+    assert!(error.contains("cam2.csv") && error.contains("no column frame"), "{error}");
+}
+
+#[test]
+fn files_that_are_not_understood_are_not_called_empty() {
+    let (root, rig) = two_cameras();
+    for camera in ["cam01_json", "cam02_json"] {
+        write(root.path(), &format!("{camera}/{camera}.0000.json"), r#"{"poses": []}"#);
+    }
+    let guessing = DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+    let error = DetectionFolder::open(root.path(), &rig, guessing).err().unwrap().to_string();
+    assert!(error.contains("0000.json") && error.contains("no list of people"), "{error}");
+    // One camera sees nobody in the whole take, and writes an empty list.
+    for (camera, text) in [("cam1", "[]"), ("cam2", r#"[{"image_id":"3.jpg","keypoints":[]}]"#)] {
+        write(root.path(), &format!("{camera}/alphapose-results.json"), text);
+        drop(fs::remove_dir_all(root.path().join(format!(
+            "{}0{}_json",
+            &camera[..3],
+            &camera[3..]
+        ))));
+    }
+    let order = Some(PointOrder::named("coco_17").unwrap());
+    let options = DetectionOptions { fps: 50.0, order, ..DetectionOptions::default() };
+    let folder = DetectionFolder::open(root.path(), &rig, options).unwrap();
+    let frames: Vec<_> = folder.map(|d| (d.as_ref().unwrap().camera, d.unwrap().frame)).collect();
+    assert_eq!(frames, [(1, 3)]);
 }
 
 #[test]
@@ -903,8 +971,15 @@ fn arrays_of_freemocap_are_read_for_all_cameras() {
         "output_data/raw_data/mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy";
     fs::create_dir_all(root.path().join("output_data/raw_data")).unwrap();
     fs::write(root.path().join(name), &bytes).unwrap();
+    // What FreeMoCap writes beside it.
+    for other in ["mediapipe_body_3d_xyz.csv", "mediapipe_body_3d_xyz.npy", "raw_data/charuco.npy"]
+    {
+        write(root.path(), &format!("output_data/{other}"), "0");
+    }
+    fs::create_dir_all(root.path().join("synchronized_videos")).unwrap();
     let read = read_back(root.path(), None);
     assert_eq!(read.len(), 2);
+    assert_eq!(read_back(&root.path().join("output_data"), None), read);
     assert!(read[0].2[0].points[0].is_none());
     let knee = KeypointFormat::Body25.index_of(Keypoint::LKnee).unwrap();
     let knee = read[1].2[0].points[knee].unwrap();

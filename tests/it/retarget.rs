@@ -834,6 +834,12 @@ fn live_poses_are_retargeted_and_written_at_the_end() {
         }
     }
     assert!(last.payload == expected(&mut retarget, 29));
+    // The file of an earlier performer is not replaced.
+    std::fs::write(folder.path().join("other.p1.bvh"), "").unwrap();
+    std::fs::copy(folder.path().join("my robot.bvh"), folder.path().join("my.bvh")).unwrap();
+    let output = run(folder.path(), "retarget --skeleton my.bvh --out other.bvh");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("other.p1.bvh exists"), "{said}");
     let pid = child.0.id().to_string();
     assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
     assert_eq!(child.0.wait().unwrap().code(), Some(0));

@@ -212,14 +212,9 @@ fn cut(
     arguments: &Arguments,
     times: &mut Times,
 ) -> Result<Timestamp, Failure> {
-    let poses = |one: &Motion| Some((one.poses.first()?.capture, one.fps));
-    let Some((first, fps)) = performers.iter().filter_map(poses).min_by_key(|one| one.0) else {
-        return Ok(Timestamp::default());
-    };
+    let Some((first, fps)) = first_pose(performers) else { return Ok(Timestamp::default()) };
     times.rate = Some(fps);
-    let lead = |start: Timestamp| start.seconds_since(first);
-    let take = Some(times.first).filter(|start| (-LONGEST_LEAD_S..0.0).contains(&lead(*start)));
-    let mut wanted = take.unwrap_or(first);
+    let mut wanted = near(first, times.first);
     if let Some([from, to]) = arguments.span.within(times)? {
         let slack = Nanos::rounded(ON_FRAME / fps * 1e9);
         for one in performers.iter_mut() {
@@ -228,8 +223,7 @@ fn cut(
         }
         wanted = wanted.max(from);
     }
-    let frames = (lead(wanted) * fps - ON_FRAME).ceil();
-    let start = first + Nanos::rounded(frames / fps * 1e9);
+    let start = on_grid((first, fps), wanted);
     for one in performers.iter_mut() {
         let poses = std::mem::take(&mut one.poses);
         (one.poses, one.fps) = arguments.options.apply(poses, start, one.fps);
@@ -245,6 +239,24 @@ fn cut(
         complain("note", &format!("{} has no poses there, and no file", one.actor));
     }
     Ok(start)
+}
+
+/// The capture time of the earliest pose of all, and its frame rate.
+pub(super) fn first_pose(performers: &[Motion]) -> Option<(Timestamp, f64)> {
+    let poses = |one: &Motion| Some((one.poses.first()?.capture, one.fps));
+    performers.iter().filter_map(poses).min_by_key(|one| one.0)
+}
+
+/// The `start` of a take if it is not too long before the first pose, else that pose.
+pub(super) fn near(first: Timestamp, start: Timestamp) -> Timestamp {
+    let is_near = (-LONGEST_LEAD_S..0.0).contains(&start.seconds_since(first));
+    if is_near { start } else { first }
+}
+
+/// The first time from `start` on that is a number of frames from the first pose, which has that frame rate.
+pub(super) fn on_grid((first, fps): (Timestamp, f64), start: Timestamp) -> Timestamp {
+    let frames = (start.seconds_since(first) * fps - ON_FRAME).ceil();
+    first + Nanos::rounded(frames / fps * 1e9)
 }
 
 /// Checks all files before the first is written.

@@ -8,8 +8,8 @@ use mp4parse::{TrackType, read_mp4};
 
 use super::ImportError;
 
-/// Frame rates are alike if they differ by less than this part.
-const ALIKE: f64 = 0.002;
+/// Frame rates are alike if they differ by less than this part. 59.94 and 60 Hz differ by twice as much: a frame in 17 s.
+const ALIKE: f64 = 0.0005;
 /// Most bytes of a video's tables; ten hours of one have fewer.
 const MOST_BYTES: u64 = 1 << 26;
 

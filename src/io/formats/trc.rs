@@ -8,6 +8,9 @@ use super::trajectories::{Trajectories, TrajectoryError};
 use super::{ExportError, Unit, Up};
 use crate::io::new_file;
 
+/// A time this near to a frame is that of the frame, periods.
+const ON_FRAME: f64 = 0.01;
+
 /// Parses the text of a file.
 pub(super) fn parse(text: &str) -> Result<Trajectories, TrajectoryError> {
     let lines: Vec<&str> = text.lines().collect();
@@ -31,7 +34,19 @@ pub(super) fn parse(text: &str) -> Result<Trajectories, TrajectoryError> {
     let frame_rate = header.number("DataRate")?;
     // The first frame counts at the original rate.
     let original = header.number("OrigDataRate").ok().filter(|rate| *rate >= 1.0);
-    let first_frame = header.number("OrigDataStartFrame")?.clamp(0.0, 1e9);
+    let mut first_frame = header.number("OrigDataStartFrame")?.clamp(0.0, 1e9);
+    // Most programs count from 1: frame 1 is at the time 0.
+    let first = lines.iter().skip(5).find(|text| !text.trim().is_empty());
+    let mut cells = first
+        .into_iter()
+        .flat_map(|text| text.split('\t').map(|cell| cell.trim().parse::<f64>().ok()));
+    if let (Some(Some(number)), Some(Some(time))) = (cells.next(), cells.next())
+        && first_frame >= 1.0
+        && number == first_frame
+        && (time * frame_rate - (number - 1.0)).abs() < ON_FRAME
+    {
+        first_frame -= 1.0;
+    }
     let first_frame = first_frame * original.map_or(1.0, |original| frame_rate / original);
     Ok(Trajectories { frame_rate, first_frame, names, rows })
 }
@@ -177,6 +192,11 @@ mod tests {
         assert_eq!(trc.rows[2][1..], [None, None]);
         assert_eq!(trc.column_of(Keypoint::LHip), Some(1));
         assert_eq!(trc.column_of(Keypoint::Nose), None);
+        // A program that counts frames from 1 and times from 0.
+        let cut = FILE.replace("\t7\t3\n", "\t1\t3\n");
+        assert_eq!(parse(&cut).unwrap().first_frame, 1.0);
+        let from_1 = cut.replace("0.0166", "0.0000");
+        assert_eq!(parse(&from_1).unwrap().first_frame, 0.0);
     }
 
     #[test]

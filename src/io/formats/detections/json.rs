@@ -13,22 +13,24 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 
-use super::{CameraReport, RawPerson, frame_number};
+use super::{BOM, CameraReport, RawPerson, frame_number, table};
 use crate::core::detections::Detection;
 
 /// Fields of a frame that hold its people.
-const PEOPLE: [&str; 5] = ["people", "instances", "bodies", "pose_landmarks", "landmarks"];
+const PEOPLE: [&str; 6] =
+    ["people", "instances", "bodies", "annots", "pose_landmarks", "landmarks"];
 /// Fields of a person that hold its points.
 const POINTS: [&str; 5] =
     ["pose_keypoints_2d", "keypoints", "joints", "pose_landmarks", "landmarks"];
 /// Fields of a person that hold its id.
-const IDS: [&str; 4] = ["person_id", "track_id", "idx", "id"];
+const IDS: [&str; 5] = ["person_id", "personID", "track_id", "idx", "id"];
 
 /// Points of a person whose numbers are all smaller are in shares of the image, not in pixels.
 const SHARE: f64 = 3.0;
 
 /// Parses JSON, also with NaN and Infinity, which Python writes.
 pub(super) fn parse(bytes: &[u8]) -> Result<Value, String> {
+    let bytes = bytes.strip_prefix(BOM).unwrap_or(bytes);
     let parsed = match serde_json::from_slice(bytes) {
         Err(error) if error.is_syntax() => serde_json::from_slice(&without_non_finite(bytes)),
         other => other,
@@ -73,6 +75,8 @@ pub(super) fn frames(file: &Value) -> Option<BTreeMap<u64, Vec<&Value>>> {
         return Some(frames);
     }
     match file {
+        // Nobody was seen at all.
+        Value::Array(all) if all.is_empty() => {}
         Value::Array(all) if all.iter().any(|one| one.get("image_id").is_some()) => {
             for person in all {
                 let number = match person.get("image_id")? {
@@ -85,8 +89,9 @@ pub(super) fn frames(file: &Value) -> Option<BTreeMap<u64, Vec<&Value>>> {
         // A list of frames: each is a list of people, or has them in a field.
         Value::Array(all) if all.iter().any(|one| holds_people(one) || is_list(one)) => {
             for (i, frame) in all.iter().enumerate() {
-                let number = ["frame", "frame_id", "frame_number"].iter();
-                let number = number.filter_map(|field| frame.get(field)?.as_u64()).next();
+                let mut fields = frame.as_object().into_iter().flatten();
+                let number = fields.find(|(name, _)| table::FRAME.contains(&&*table::plain(name)));
+                let number = number.and_then(|(_, number)| number.as_u64());
                 frames.entry(number.unwrap_or(i as u64)).or_default().push(frame);
             }
         }

@@ -45,8 +45,8 @@ pub struct CameraReport {
     pub points: u64,
     /// Points skipped because a number was null, NaN or infinite.
     pub non_finite_points: u64,
-    /// Confidences above 1, set to 1.
-    pub clamped_confidences: u64,
+    /// Confidences above 1, which are used as 1.
+    pub confidences_above_1: u64,
     /// Whether there are points of hands or faces, which are not used.
     pub left_out: bool,
 }
@@ -195,7 +195,7 @@ impl DetectionFolder {
             }
             notes.push(format!("there are no detections of camera {unseen}; the others are used"));
         }
-        let (mut cameras, mut reports) = (Vec::new(), Vec::new());
+        let (mut cameras, mut reports) = (Vec::new(), Vec::<CameraReport>::new());
         let mut sources: Vec<Option<Source>> = sources.into_iter().map(Some).collect();
         for found in &matches {
             let of =
@@ -209,6 +209,17 @@ impl DetectionFolder {
             let (frames, report) = source.frames(fps, size, &mut names)?;
             cameras.push(CameraFrames { camera: found.camera, size, fps, frames, next: 0 });
             reports.push(report);
+        }
+        // Some detectors write only frames in which they see somebody.
+        let first = reports
+            .iter()
+            .filter(|report| report.frames > 0)
+            .map(|report| report.first_frame)
+            .min();
+        if let Some(first) = first.filter(|first| *first > 1) {
+            notes.push(format!(
+                "the first frame of all is {first}; times and frames of outputs count from there"
+            ));
         }
         let (order, others) = match (&options.mapping, options.order) {
             (Some(path), _) => (PointOrder::of_file(path, names.as_deref())?, Vec::new()),
@@ -245,9 +256,9 @@ impl DetectionFolder {
         &self.notes
     }
 
-    /// Number of frames of all cameras.
+    /// Number of frames of all cameras, without those that are known to be broken.
     pub fn frame_count(&self) -> u64 {
-        self.reports.iter().map(|r| r.frames).sum()
+        self.reports.iter().map(|r| r.frames - r.broken_files).sum()
     }
 
     /// Whether the cameras have different numbers of frames.
@@ -301,12 +312,10 @@ impl DetectionFolder {
                 report.people_without_points += 1;
                 continue;
             }
-            report.clamped_confidences +=
+            report.confidences_above_1 +=
                 points.iter().flatten().filter(|p| p.confidence > 1.0).count() as u64;
             report.points += points.iter().flatten().count() as u64;
-            let clamp =
-                |point: Detection| Detection { confidence: point.confidence.min(1.0), ..point };
-            people.push(Person { id, points: points.into_iter().map(|p| p.map(clamp)).collect() });
+            people.push(Person { id, points });
         }
         report.people += people.len() as u64;
         report.frames_without_people += u64::from(people.is_empty());
@@ -346,6 +355,9 @@ impl Iterator for DetectionFolder {
     }
 }
 
+/// A mark of UTF-8 at the start of a text.
+const BOM: &[u8] = b"\xef\xbb\xbf";
+
 /// So many broken files of a camera are named.
 const NAMED: u64 = 10;
 
@@ -366,9 +378,11 @@ fn found_order(
         }
         return Ok((order, Vec::new()));
     }
-    let count = cameras.iter().find_map(first_count);
+    let mut tried = Tried::default();
+    let count = cameras.iter().find_map(|camera| first_count(camera, &mut tried));
     let Some(count) = count else {
-        return Err(ImportError::NoPeople { path: folder.to_owned() });
+        let fault = tried.fault.filter(|_| tried.read == 0);
+        return Err(fault.unwrap_or_else(|| ImportError::NoPeople { path: folder.to_owned() }));
     };
     let mut others = PointOrder::of_count(count);
     if others.is_empty() {
@@ -383,8 +397,17 @@ fn found_order(
     Ok((order, others))
 }
 
+/// The files in which people were searched.
+#[derive(Default)]
+struct Tried {
+    /// Number of those that could be read.
+    read: usize,
+    /// What is wrong with the first of the others.
+    fault: Option<ImportError>,
+}
+
 /// The number of points of the first person with points.
-fn first_count(camera: &CameraFrames) -> Option<usize> {
+fn first_count(camera: &CameraFrames, tried: &mut Tried) -> Option<usize> {
     let count = |people: &[RawPerson]| {
         people.iter().map(|person| person.points.len()).find(|count| *count > 0)
     };
@@ -392,7 +415,19 @@ fn first_count(camera: &CameraFrames) -> Option<usize> {
         Frames::Whole(frames) => frames.iter().find_map(|(_, people)| count(people)),
         Frames::Files(files) => files.iter().find_map(|(_, path)| {
             let people = people_of_file(path, camera.size, &mut CameraReport::default());
-            count(&people.ok()?.ok()?)
+            let people = people.and_then(|people| {
+                people.map_err(|what| ImportError::NotDetections { path: path.clone(), what })
+            });
+            match people {
+                Ok(people) => {
+                    tried.read += 1;
+                    count(&people)
+                }
+                Err(error) => {
+                    tried.fault.get_or_insert(error);
+                    None
+                }
+            }
         }),
     }
 }
@@ -404,7 +439,7 @@ fn people_of_file(
     report: &mut CameraReport,
 ) -> Result<Result<Vec<RawPerson>, String>, ImportError> {
     let bytes = fs::read(path).map_err(|error| ImportError::read(path, error))?;
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes).trim_ascii();
+    let bytes = bytes.strip_prefix(BOM).unwrap_or(&bytes).trim_ascii();
     // An empty text is a frame without people.
     if ending(path) == "txt" {
         let text = String::from_utf8_lossy(bytes);
@@ -492,8 +527,13 @@ fn whole_file(
 
 /// The subfolders or files of cameras, in natural order, and the names of their points.
 fn sources(root: &Path) -> Result<Sources, ImportError> {
-    if let Some(found) = shared_file(root)? {
-        return Ok(found);
+    // FreeMoCap's folders hold other arrays beside the 2D data.
+    let inner = ["output_data/raw_data", "raw_data", "output_data"].map(|inner| root.join(inner));
+    let there = inner.into_iter().filter(|inner| inner.is_dir());
+    for place in std::iter::once(root.to_owned()).chain(there) {
+        if let Some(found) = shared_file(&place)? {
+            return Ok(found);
+        }
     }
     let mut found = Vec::new();
     let mut add = |path, content| found.push(Source { path, has_name: true, content });
@@ -510,7 +550,7 @@ fn sources(root: &Path) -> Result<Sources, ImportError> {
         let files: Vec<PathBuf> = files.into_iter().filter(|file| is_frame(file)).collect();
         match &files[..] {
             [] => {}
-            [only] if holds_all(only, false) => {
+            [only] if holds_all(only, false) || frame_number(&file_name(only)).is_none() => {
                 add(path, SourceContent::File(only.clone()));
             }
             [first, ..] => {
@@ -526,10 +566,9 @@ fn sources(root: &Path) -> Result<Sources, ImportError> {
     }
     if found.is_empty() {
         // The folder of a trial.
-        for inner in ["pose", "output_data/raw_data", "output_data"] {
-            if root.join(inner).is_dir() {
-                return sources(&root.join(inner));
-            }
+        let inner = root.join("pose");
+        if inner.is_dir() {
+            return sources(&inner);
         }
         return Err(ImportError::NoCameraFolders { path: root.to_owned() });
     }

@@ -74,11 +74,11 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
     } else {
         let header = lines.first().ok_or("an empty file")?;
         for (at, cell) in header.iter().enumerate() {
-            let lower = cell.trim().to_lowercase();
-            match FIELDS.iter().find(|(_, names)| names.contains(&&*lower)) {
+            let name = plain(cell);
+            match FIELDS.iter().find(|(_, names)| names.contains(&&*name)) {
                 Some((field, names)) => {
                     let rank = |at: usize| {
-                        let name = header.get(at).unwrap_or_default().trim().to_lowercase();
+                        let name = plain(header.get(at).unwrap_or_default());
                         names.iter().position(|other| *other == name)
                     };
                     // A table of pandas has its index before the frame.
@@ -94,6 +94,9 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
                 }
             }
         }
+    }
+    if !fields.contains_key("frame") && fields.contains_key("person") {
+        return Err("it has people but no column frame; name it frame".into());
     }
     if columns.iter().all(|(_, (_, _, axis))| *axis != 1) {
         return Err("no columns of points; name them NAME_x, NAME_y and NAME_c".into());
@@ -113,10 +116,27 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
 
 const TOP: [&str; 4] = ["scorer", "individuals", "bodyparts", "coords"];
 const FIELDS: [(&str, &[&str]); 3] = [
-    ("frame", &["frame", "frame_number", "frame_id", "index", ""]),
+    ("frame", FRAME),
     ("camera", &["camera", "cam", "view"]),
-    ("person", &["person", "person_id", "id", "track_id", "track"]),
+    ("person", &["person", "personid", "id", "trackid", "track"]),
 ];
+/// Names of the number of a frame, as [`plain`] has them; the last are of a table's index.
+pub(super) const FRAME: &[&str] = &[
+    "frame",
+    "framenumber",
+    "frameid",
+    "frameidx",
+    "frameindex",
+    "framenum",
+    "index",
+    "unnamed0",
+    "",
+];
+
+/// A field's name in lower case, without what separates its words.
+pub(super) fn plain(name: &str) -> String {
+    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}
 
 fn axis(name: &str) -> Option<usize> {
     match name.trim().to_lowercase().as_str() {
