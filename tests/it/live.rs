@@ -894,6 +894,44 @@ fn a_jump_of_all_clocks_starts_a_new_time_line() {
     assert_eq!(world.heard.events()["clock_jump"], 1);
 }
 
+/// The last camera is switched off after 2 s; the clocks of the others step at 5 s.
+#[test]
+fn nothing_is_said_of_the_clock_of_a_camera_that_is_off() {
+    let studio = Studio::new(4, 480);
+    let mut messages = vec![studio.rig()];
+    for frame in &studio.frames {
+        let seconds = frame.capture.seconds_since(START);
+        if frame.camera == 3 && seconds > 2.0 {
+            continue;
+        }
+        let step = if seconds > 5.0 { SECOND * 10 } else { Nanos::ZERO };
+        let stepped = Detections { capture: frame.capture + step, ..frame.clone() };
+        messages.push(Sent { arrival: frame.capture + NETWORK, ..studio.message(&stepped) });
+    }
+    let world = after(messages, 8.0);
+    assert_eq!(world.heard.events()["clock_jump"], 1);
+    let said = world.heard.details("clock_offset");
+    assert!(said.is_empty(), "{said:?}");
+}
+
+/// The frames of a camera come 0.4 s late, and it is left out until the second of the others is switched off.
+#[test]
+fn a_late_camera_is_used_if_only_one_other_is_left() {
+    let studio = Studio::new(3, 600);
+    let mut messages = studio.messages();
+    messages.retain(|sent| !sent.topic.contains("cam02") || sent.arrival < at(5.0));
+    for message in messages.iter_mut().filter(|sent| sent.topic.contains("cam03")) {
+        message.arrival = message.arrival + MS * 400;
+    }
+    let world = after(messages, 10.0);
+    let said = world.heard.details("clock_offset");
+    assert!(said.iter().any(|one| one.contains("too late to wait for")), "{said:?}");
+    let poses = world.heard.poses();
+    let last = poses.iter().filter(|(_, pose)| pose.state == TrackingState::Tracking as i32);
+    let last = last.map(|(at, _)| *at).max().unwrap();
+    assert!(last > at(9.0), "{} s: {said:?}", last.seconds_since(START));
+}
+
 #[test]
 fn a_camera_whose_clock_is_off_raises_an_alarm() {
     let studio = Studio::new(4, 360);
@@ -936,8 +974,8 @@ fn memory_does_not_grow_with_time() {
     let studio = Studio::new(4, 60);
     let mut world = World::new(&Config::default());
     // The same second of frames repeated with new times.
-    let round = |number: i64| -> Vec<Sent> {
-        let frames = studio.frames.iter().map(|frame| {
+    let round = |number: i64, cameras: usize| -> Vec<Sent> {
+        let frames = studio.frames.iter().filter(|frame| frame.camera < cameras).map(|frame| {
             let mut frame = frame.clone();
             frame.capture = frame.capture + SECOND * number;
             frame.frame += 60 * number as u64;
@@ -946,17 +984,21 @@ fn memory_does_not_grow_with_time() {
         let rig = (number == 0).then(|| studio.rig());
         rig.into_iter().chain(frames).collect()
     };
-    let mut play = |rounds: std::ops::Range<i64>| {
+    let mut play = |rounds: std::ops::Range<i64>, cameras: usize| {
         for number in rounds {
-            let messages = round(number);
+            let messages = round(number, cameras);
             world.play(messages, at(number as f64 + 1.0));
             world.heard.messages = Vec::new();
         }
     };
     // What was seen in a minute is remembered, for cameras that are moved.
-    play(0..80);
-    let grown = allocation_counter::measure(|| play(80..100)).bytes_current;
+    play(0..80, 4);
+    let grown = allocation_counter::measure(|| play(80..100, 4)).bytes_current;
     assert!(grown < 20_000, "{grown} bytes more after 20 seconds");
+    // All cameras but one are switched off.
+    play(100..120, 1);
+    let grown = allocation_counter::measure(|| play(120..140, 1)).bytes_current;
+    assert!(grown < 20_000, "{grown} bytes more after 20 seconds of one camera");
 }
 
 #[test]
@@ -1137,6 +1179,9 @@ fn capture_times_in_other_units_are_named_once_for_each_camera() {
         let details = world.heard.details("unusable");
         assert!(details.len() == 4 && details.iter().all(|d| d.contains(unit)), "{details:?}");
         assert_eq!(world.heard.events()["unusable"], 4, "{:?}", world.heard.events());
+        // The other frames are counted.
+        let status = world.heard.status();
+        assert!(status.cameras.iter().all(|camera| camera.unusable > 200), "{status:?}");
         assert!(world.heard.poses().is_empty());
     }
 }

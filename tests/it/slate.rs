@@ -6,10 +6,11 @@ use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::Solver;
 use bundlemocap::io::wire::{
-    Event, PerformerLabel, Skeleton, Status, Take, TakeAnswer, Topics, encode,
+    Event, PerformerLabel, Skeleton, Status, Take, TakeAnswer, Topics, TrackingState, encode,
 };
 use bundlemocap::live::{
-    Carried, Core, MOST_BYTES, MOST_ORDER_BYTES, Recorded, ReplayError, Replayed, Settings, replay,
+    Carried, Core, Input, MOST_BYTES, MOST_ORDER_BYTES, Recorded, ReplayError, Replayed, Settings,
+    replay,
 };
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
@@ -154,9 +155,19 @@ fn a_take_may_begin_with_the_rig_that_comes_back_from_the_bus() {
     // The take begins at the end of a job; then no keypoints come first.
     let mut slates = vec![slate("start", "walk", 1.0)];
     slates.extend((0..100).map(|index| rig(1.0001 + 0.0002 * f64::from(index))));
-    let (_, recorded) = session(3, slates);
-    let replayed = replayed(&from(&recorded, 1.0), Some("walk")).unwrap();
-    assert_agrees(&replayed);
+    let (_, taken) = session(3, slates.clone());
+    let replay = replayed(&from(&taken, 1.0), Some("walk")).unwrap();
+    assert_agrees(&replay);
+    // The rig of a file comes back, too; that is not refused.
+    let rig = Studio::new(4, 1).rig();
+    let mut config = Config::default();
+    config.node.rig = "rig.toml".into();
+    let mut world = World::new(&config);
+    world.tell(Input::RigFile(rig.payload.clone()));
+    let messages = Studio::new(4, 180).messages().into_iter().filter(|one| one.topic != rig.topic);
+    let (world, taken) = recorded(world, messages.chain(slates).collect(), 3.0);
+    assert!(world.heard.details("rig_refused").is_empty());
+    assert_agrees(&replayed(&from(&taken, 1.0), Some("walk")).unwrap());
 }
 
 #[test]
@@ -177,6 +188,19 @@ fn a_start_is_answered_even_if_it_never_begins() {
     world.play(messages, at(during_a_job));
     world.end();
     assert_eq!(answers(&world), [(true, "actor: the node ends".to_owned())]);
+}
+
+#[test]
+fn a_take_that_waits_for_a_job_can_be_stopped() {
+    let during_a_job = Studio::new(4, 120).frames[4 * 60].capture.seconds_since(at(0.0)) + 0.006;
+    let slates = vec![slate("start", "a", during_a_job), slate("stop", "a", during_a_job)];
+    let (world, recorded) = session(3, slates);
+    let said = "actor: take a ended before it began".to_owned();
+    assert_eq!(answers(&world), [(true, said.clone()), (false, said)]);
+    let poses = world.heard.poses();
+    let tracked = poses.iter().filter(|(_, pose)| pose.state == TrackingState::Tracking as i32);
+    assert!(tracked.count() > 140);
+    assert_agrees(&replayed(&recorded, None).unwrap());
 }
 
 #[test]

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use bundlemocap::core::body::{Pose, Shape, Skeleton};
+use bundlemocap::core::body::{Pose, Shape, Skeleton, TrackingState};
 use bundlemocap::core::camera::Rig;
-use bundlemocap::core::detections::Detections;
+use bundlemocap::core::detections::{Detections, Keypoint as K};
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::stage::{self, Change, Choice, Known, PerformerId, Performers, Stage};
 use bundlemocap::core::time::Nanos;
@@ -25,6 +25,16 @@ fn people(
     seconds: f64,
     at: impl Fn(usize, f64) -> Vector3<f64> + Clone + 'static,
 ) -> Crowd<AnyMotion> {
+    people_at(FPS, shapes, seconds, at)
+}
+
+/// The same at another frame rate.
+fn people_at(
+    fps: f64,
+    shapes: &[f64],
+    seconds: f64,
+    at: impl Fn(usize, f64) -> Vector3<f64> + Clone + 'static,
+) -> Crowd<AnyMotion> {
     let rig = ring_rig(4, 5.0, 2.0).unwrap();
     let one = |(person, shape): (usize, &f64)| {
         let skeleton = Skeleton::new(Shape::symmetric([*shape; 10]));
@@ -37,7 +47,7 @@ fn people(
             pose
         };
         let mut recording = Recording::new(rig.clone(), skeleton, Box::new(place) as AnyMotion);
-        (recording.fps, recording.frames) = (FPS, (seconds * FPS) as u64);
+        (recording.fps, recording.frames) = (fps, (seconds * fps) as u64);
         (recording.noise, recording.seed) = (Noise::clean(), 5 + person as u64);
         recording
     };
@@ -52,6 +62,7 @@ struct Result {
     /// Events of the cameras.
     cameras: Vec<EventKind>,
     others: usize,
+    known: Vec<Known>,
 }
 
 impl Result {
@@ -82,13 +93,22 @@ fn run_choosing(
     performers: &str,
     choice: Choice,
 ) -> Result {
+    run_inputs(rig, frames.map(stage::Input::Detections), performers, choice)
+}
+
+fn run_inputs(
+    rig: &Rig,
+    inputs: impl Iterator<Item = stage::Input>,
+    performers: &str,
+    choice: Choice,
+) -> Result {
     let config = TrackerConfig::default();
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let tracker = Tracker::new(config, Arc::new(rig.clone()));
     let performers: Performers = performers.parse().unwrap();
     let mut stage = Stage::new(tracker, performers, None).choosing(choice);
     let mut result = Result::default();
-    for input in frames.map(stage::Input::Detections).chain([stage::Input::End]) {
+    for input in inputs.chain([stage::Input::End]) {
         stage.handle(input);
         while let Some(output) = stage.poll_and_solve(|job| solver.solve(job)) {
             match output {
@@ -103,7 +123,7 @@ fn run_choosing(
             }
         }
     }
-    result.others = stage.others();
+    (result.others, result.known) = (stage.others(), stage.known());
     result
 }
 
@@ -512,4 +532,174 @@ fn slow_cameras_make_nobody_somebody_else() {
     assert!(result.events(EventKind::Reentered).is_empty());
     let last = result.poses.iter().filter(|(_, pose)| pose.capture.ns() > 31_000_000_000);
     assert!(last.count() >= 10);
+}
+
+/// The second performer comes back, and at first only the trunk is seen: that does not tell who it is.
+#[test]
+fn who_comes_back_half_hidden_is_recognised_later() {
+    let at = |person: usize, _: f64| Vector3::new(1.8 * person as f64 - 0.9, 0.0, 0.3);
+    let crowd = people(&[0.3, -1.0], 10.0, at);
+    for performers in ["2", "auto"] {
+        let is_there =
+            |owner: usize, _: usize, seconds: f64| owner == 0 || !(4.0..6.0).contains(&seconds);
+        let frames = seen(&crowd, is_there).map(|mut frame| {
+            let half_hidden = 6_000_000_000..6_700_000_000;
+            for person in
+                frame.people.iter_mut().filter(|_| half_hidden.contains(&frame.capture.ns()))
+            {
+                for (index, point) in person.points.iter_mut().enumerate() {
+                    let trunk = [K::LShoulder, K::RShoulder, K::LHip, K::RHip];
+                    let is_trunk = trunk.iter().any(|&k| frame.format.index_of(k) == Some(index));
+                    *point = point.filter(|_| is_trunk);
+                }
+            }
+            frame
+        });
+        let result = run(&crowd.people()[0].rig, frames, performers);
+        assert_eq!(result.events(EventKind::Entered), [0, 1], "{performers}");
+        assert_eq!(result.events(EventKind::Reentered), [1], "{performers}");
+        // What was measured before counts on: twice a frame for 4 and about 3 seconds.
+        let measured = result.known[1].lengths[1][1];
+        assert!(measured > 2.0 * FPS * 6.5, "{performers}: {measured}");
+    }
+}
+
+/// A performer goes, and somebody of about the same build comes to the place at once.
+#[test]
+fn who_comes_where_a_performer_went_is_told_from_it_later() {
+    let at = |person: usize, seconds: f64| match person {
+        0 => Vector3::new(0.2, 0.0, 0.0),
+        _ => Vector3::new(0.9 + 0.5 * (seconds - 3.3).clamp(0.0, 2.0), 0.0, 0.2),
+    };
+    let crowd = people(&[0.3, -0.5], 9.0, at);
+    let is_there = |owner: usize, _: usize, seconds: f64| match owner {
+        0 => !(3.0..7.0).contains(&seconds),
+        _ => seconds > 3.3,
+    };
+    let result = run(&crowd.people()[0].rig, seen(&crowd, is_there), "auto");
+    assert_eq!(result.events(EventKind::Entered), [0, 1], "{:?}", result.events);
+    for performer in 0..2 {
+        let off = result.off(performer, 7.5, |seconds| at(performer, seconds));
+        assert!(off < 0.1, "{performer}: {off} m");
+    }
+}
+
+/// Somebody steps into the place of a hidden performer, who is seen again beside it.
+#[test]
+fn a_performer_who_comes_out_beside_somebody_in_its_place_keeps_the_number() {
+    let at = |person: usize, seconds: f64| match person {
+        0 => Vector3::new(-1.2 * (seconds - 3.4).clamp(0.0, 1.0), 0.0, 0.0),
+        _ => Vector3::new(0.1 + 1.2 * (3.3 - seconds).clamp(0.0, 1.0), 0.0, 0.1),
+    };
+    let crowd = people(&[0.3, -1.0], 9.0, at);
+    for performers in ["2", "auto"] {
+        let is_there = |owner: usize, _: usize, seconds: f64| match owner {
+            0 => !(3.0..3.7).contains(&seconds),
+            _ => seconds > 3.2,
+        };
+        let result = run(&crowd.people()[0].rig, seen(&crowd, is_there), performers);
+        assert_eq!(result.events(EventKind::Entered), [0, 1], "{performers}: {:?}", result.events);
+        for performer in 0..2 {
+            let off = result.off(performer, 6.0, |seconds| at(performer, seconds));
+            assert!(off < 0.1, "{performers}, {performer}: {off} m, {:?}", result.events);
+        }
+    }
+}
+
+/// Two performers meet in one place while a third person looks on.
+#[test]
+fn the_place_of_a_performer_in_an_embrace_is_kept() {
+    let at = |person: usize, seconds: f64| {
+        let off = ((seconds - 4.0).abs() - 0.5).clamp(0.0, 1.2);
+        match person {
+            0 => Vector3::new(0.0, 0.0, 0.3),
+            1 => Vector3::new(off, 0.0, 0.3),
+            _ => Vector3::new(-1.2, 0.0, -0.6),
+        }
+    };
+    let crowd = people(&[0.5, -0.5, 1.5], 9.0, at);
+    let is_there = |owner: usize, _: usize, seconds: f64| owner < 2 || seconds > 2.0;
+    let result = run(&crowd.people()[0].rig, seen(&crowd, is_there), "2");
+    assert_eq!(result.events(EventKind::Merged), [1]);
+    assert_eq!(result.events(EventKind::Entered), [0, 1], "{:?}", result.events);
+    assert_eq!(result.events(EventKind::Reentered), [1]);
+    assert!(result.off(1, 7.0, |seconds| at(1, seconds)) < 0.15);
+}
+
+/// A wrong pairing that lasts for 50 ms is nobody, however fast the cameras are.
+#[test]
+fn fast_cameras_do_not_confirm_at_once() {
+    let at = |person: usize, _: f64| Vector3::new(1.8 * person as f64 - 0.9, 0.0, 0.3);
+    let crowd = people_at(240.0, &[0.3, -1.0], 2.0, at);
+    let entered = |until: f64| {
+        let is_there =
+            |owner: usize, _: usize, seconds: f64| owner == 0 || (1.0..until).contains(&seconds);
+        let result = run(&crowd.people()[0].rig, seen(&crowd, is_there), "auto");
+        result.events(EventKind::Entered)
+    };
+    assert_eq!((entered(1.05), entered(1.5)), (vec![0], vec![0, 1]));
+}
+
+/// The clock of the cameras steps, or they are calibrated in another world, while the second performer is away.
+#[test]
+fn who_is_away_when_the_clock_or_the_world_changes_is_known_again() {
+    let at = |person: usize, _: f64| Vector3::new(1.8 * person as f64 - 0.9, 0.0, 0.3);
+    let crowd = people(&[0.3, -1.0], 9.0, at);
+    let rig = Arc::new(crowd.people()[0].rig.clone());
+    let is_there =
+        |owner: usize, _: usize, seconds: f64| owner == 0 || !(3.0..6.0).contains(&seconds);
+    let mut moved = Rig::clone(&rig);
+    for camera in &mut moved.cameras {
+        // The origin is elsewhere by more than people walk in that time.
+        camera.translation -= camera.rotation * Vector3::new(30.0, 0.0, 0.0);
+    }
+    moved.version += 1;
+    let hour = Nanos::SECOND * 3600;
+    for (step, new_rig) in [(hour, None), (-hour, None), (Nanos::ZERO, Some(Arc::new(moved)))] {
+        let mut is_changed = false;
+        let mut inputs = Vec::new();
+        for mut frame in seen(&crowd, is_there) {
+            let is_after = frame.capture.ns() > Nanos::from_ms(4500).ns();
+            if is_after && !is_changed {
+                is_changed = true;
+                inputs.push(match &new_rig {
+                    Some(rig) => stage::Input::Rig(Arc::clone(rig)),
+                    None => stage::Input::Restart(step),
+                });
+            }
+            frame.capture = frame.capture + hour + if is_after { step } else { Nanos::ZERO };
+            inputs.push(stage::Input::Detections(frame));
+        }
+        for performers in ["2", "auto"] {
+            let result = run_inputs(&rig, inputs.iter().cloned(), performers, Choice::default());
+            let case = format!("{step} {performers}: {:?}", result.events);
+            assert_eq!(result.events(EventKind::Entered), [0, 1], "{case}");
+            assert!(result.events(EventKind::Vacated).is_empty(), "{case}");
+            assert_eq!(result.events(EventKind::Reentered), [0, 1], "{case}");
+        }
+    }
+}
+
+/// One camera is six times as fast as the others, each of which has a frame at another time.
+#[test]
+fn slow_cameras_beside_a_fast_one_are_views() {
+    let crowd = people_at(60.0, &[0.3], 6.0, |_, _| Vector3::zeros());
+    let mixed = || {
+        zero(&crowd)
+            .filter(|frame| frame.camera == 0 || frame.frame % 6 == 2 * (frame.camera as u64 - 1))
+    };
+    for performers in ["1", "auto"] {
+        let result = run(&crowd.people()[0].rig, mixed(), performers);
+        let (tracked, others): (Vec<_>, Vec<_>) = result
+            .poses
+            .iter()
+            .filter(|(_, pose)| pose.capture.ns() > Nanos::from_ms(1500).ns())
+            .partition(|(_, pose)| pose.state == TrackingState::Tracking);
+        assert!(
+            tracked.len() > 240 && others.is_empty(),
+            "{performers}: {} and {}",
+            tracked.len(),
+            others.len()
+        );
+    }
 }

@@ -12,6 +12,8 @@ use crate::live::Monitor;
 const SAME_CLOCK: Nanos = Nanos::from_ms(10);
 /// A correction must lower the error of a camera to this part.
 const LOWERED: f64 = 0.9;
+/// Most cameras that are corrected after one check: the node takes a limited number of orders a second.
+const MOST_ORDERS: usize = 8;
 
 /// What a node adds to the capture times of its cameras, by name.
 pub(super) type Corrections = BTreeMap<String, Nanos>;
@@ -81,7 +83,8 @@ impl Clocks {
             let undo = tried.filter(is_of_no_use).map(|tried| -tried.by);
             self.not_to_correct.extend(undo.map(|_| row.camera.clone()));
             let late = row.times.and_then(|wrong| wrong.late());
-            let new = late.filter(|_| !self.not_to_correct.contains(&row.camera)).map(|late| -late);
+            let is_open = orders.len() < MOST_ORDERS && !self.not_to_correct.contains(&row.camera);
+            let new = late.filter(|_| is_open).map(|late| -late);
             let trial = new.map(|by| Trial { error_before: error, by });
             self.tried.extend(trial.map(|trial| (row.camera.clone(), trial)));
             let now = corrections.get(&row.camera).copied().unwrap_or_default();

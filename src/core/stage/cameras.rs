@@ -24,7 +24,7 @@ impl Stage {
         }
         let is_same_world = is_same_world(rig, crowd.rig());
         let rig = shifted(rig, &self.corrections);
-        if is_same_world { crowd.set_rig(rig) } else { crowd.restart(rig) }
+        if is_same_world { crowd.set_rig(rig) } else { crowd.leave_world(rig) }
     }
 
     /// Time offsets and moved cameras are found from this performer, if nobody was before.

@@ -145,12 +145,18 @@ impl Crowd {
         &self.rig
     }
 
-    /// Forgets the frames; all performers are lost until they are seen again. The cameras are those of
-    /// `rig` from here on.
-    pub fn restart(&mut self, rig: Arc<Rig>) {
-        self.sets.clear(rig.cameras.len());
-        self.people.restart();
+    /// Forgets the frames; all performers are lost until they are seen again. Capture times are so much later from here
+    /// on.
+    pub fn restart(&mut self, step: Nanos) {
+        self.sets.clear(self.rig.cameras.len());
+        self.people.restart(step);
+    }
+
+    /// The same for cameras that are calibrated in another world.
+    pub fn leave_world(&mut self, rig: Arc<Rig>) {
         self.rig = rig;
+        self.restart(Nanos::ZERO);
+        self.people.leave_world();
     }
 
     /// The most people at a time who were seen for a while and are no performers.

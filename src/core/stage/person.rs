@@ -26,6 +26,8 @@ const DECAY_S: f64 = 0.4;
 /// Who was in no view for this long, or is this far from where it was expected, metres, may be somebody else.
 pub(super) const HIDDEN: Nanos = Nanos::from_ms(100);
 const LEAP_M: f64 = 0.25;
+/// Bodies that differ by more ([`Lengths::difference`]) are not those of one person, even if one was seen in one pose only.
+const OTHER_BODY: f64 = 4.0;
 /// No person is faster, m/s.
 const FASTEST_M_S: f64 = 6.0;
 
@@ -72,6 +74,8 @@ struct Doubt {
     lengths: Lengths,
     /// When they began.
     first: Timestamp,
+    /// If they differ from those before by more, this is somebody else.
+    most: f64,
 }
 
 impl Person {
@@ -107,11 +111,52 @@ impl Person {
         self.points.iter().any(Option::is_some)
     }
 
-    /// After `sets` frame sets since the person was hidden: the person as it was before, if its lengths differ from
-    /// those since by more than `most` (no unit, see [`Lengths::difference`]). Then this is somebody else.
-    pub(super) fn settle(&mut self, sets: u32, most: f64) -> Option<Self> {
-        let is_measured = |doubt: &mut Box<Doubt>| self.sets - doubt.before.sets >= sets;
-        let Doubt { before, lengths, first } = *self.doubt.take_if(is_measured)?;
+    /// Whether the person was seen in so many sets, for so long.
+    pub(super) fn is_seen_for(&self, (sets, time): (u32, Nanos)) -> bool {
+        self.sets >= sets && self.seen - self.first >= time
+    }
+
+    /// Capture times are so much later from here on.
+    pub(super) fn step(&mut self, by: Nanos) {
+        (self.seen, self.first) = (self.seen + by, self.first + by);
+    }
+
+    /// The person as it was before it was hidden, as long as somebody else may be followed in its place.
+    pub(super) fn in_doubt(&self) -> Option<&Self> {
+        self.doubt.as_ref().map(|doubt| &doubt.before)
+    }
+
+    /// Goes on as a person who was found elsewhere. That is somebody else if the lengths turn out to differ by more than
+    /// `most`.
+    pub(super) fn go_on_as(&mut self, other: Self, most: f64) {
+        let first = other.first;
+        let doubt = match self.doubt.take() {
+            Some(mut doubt) => {
+                doubt.lengths.join(&other.lengths);
+                doubt
+            }
+            None => {
+                let before = self.clone();
+                Box::new(Doubt { before, lengths: other.lengths, first, most })
+            }
+        };
+        *self = Self {
+            lengths: self.lengths,
+            sets: self.sets + other.sets,
+            extents: self.extents + other.extents,
+            first: self.first,
+            doubt: Some(doubt),
+            ..other
+        };
+    }
+
+    /// After so many frame sets and so long since the person was hidden: the person as it was before, if its lengths
+    /// differ too much from those since. Then this is somebody else.
+    pub(super) fn settle(&mut self, (sets, time): (u32, Nanos)) -> Option<Self> {
+        let is_measured = |doubt: &mut Box<Doubt>| {
+            self.sets - doubt.before.sets >= sets && self.seen - doubt.first >= time
+        };
+        let Doubt { before, lengths, first, most } = *self.doubt.take_if(is_measured)?;
         if before.lengths.difference(&lengths).is_none_or(|difference| difference <= most) {
             self.lengths.join(&lengths);
             return None;
@@ -222,7 +267,8 @@ impl Person {
         let is_own = |(camera, _): &&Sight| self.owned.contains(camera);
         if views.iter().filter(is_own).any(has_trunk) {
             if self.doubt.is_none() && (self.is_hidden(at) || shift.norm() > LEAP_M) {
-                let doubt = Doubt { before: self.clone(), lengths: Lengths::default(), first: at };
+                let (before, lengths) = (self.clone(), Lengths::default());
+                let doubt = Doubt { before, lengths, first: at, most: OTHER_BODY };
                 self.doubt = Some(Box::new(doubt));
             }
             self.in_view = at;

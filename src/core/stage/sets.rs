@@ -92,7 +92,7 @@ impl Sets {
         let waiting = &self.intake.waiting;
         let is_waiting = waiting.any() && behind.iter().any(|&c| waiting.is_waited_for(c));
         // One camera's clock may be fast: only what two have reached counts.
-        let clock = if self.now.is_some() { self.now } else { self.intake.front() };
+        let clock = if self.now.is_some() { self.now } else { self.intake.front_or_alone() };
         let is_overdue = clock >= Some(at + width + grace);
         if !all && is_waiting && waiting.any() && !is_overdue {
             return None;

@@ -15,6 +15,8 @@ const STRAY: Nanos = Nanos::from_ms(250);
 const STRAY_PERIODS: i64 = 4;
 /// A capture time this far after all others, ns, is accepted only if a second one is near it.
 const MAX_JUMP: Nanos = Nanos::from_ms(5000);
+/// If one camera has gone on alone for this long, the others have stopped.
+const ALONE: Nanos = Nanos::from_ms(5000);
 /// If more frames than this seem to be missing at once, the counter has jumped.
 const MAX_MISSING: u64 = 1_000_000;
 
@@ -50,6 +52,8 @@ pub(in crate::core) struct Intake {
     /// Of each camera, a frame that is off its line and waits for the next one.
     held: Vec<Option<Detections>>,
     rate: FrameRate,
+    /// The latest capture time that two cameras have reached, and the newest one at that moment.
+    reached: Option<[Timestamp; 2]>,
     /// Which cameras are waited for.
     pub(in crate::core) waiting: Waiting,
 }
@@ -65,6 +69,7 @@ impl Intake {
             stray: None,
             held: vec![None; cameras],
             rate: FrameRate::new(cameras),
+            reached: None,
             waiting: Waiting::new(cameras, grace),
         }
     }
@@ -230,6 +235,11 @@ impl Intake {
             None => None,
         };
         self.frames.insert(key, Arc::new(frame));
+        if let Some((front, newest)) = self.front().zip(self.newest())
+            && self.reached.is_none_or(|[before, _]| before != front)
+        {
+            self.reached = Some([front, newest]);
+        }
         found
     }
 
@@ -279,6 +289,13 @@ impl Intake {
             self.cameras.iter().filter_map(|seen| seen.watermark).collect();
         watermarks.sort_unstable();
         watermarks.iter().rev().nth(1).or(watermarks.last()).copied()
+    }
+
+    /// The same; but if a camera goes on alone, a while before its latest capture time.
+    pub(in crate::core) fn front_or_alone(&self) -> Option<Timestamp> {
+        let alone = self.reached.zip(self.newest());
+        let alone = alone.filter(|([_, then], newest)| *newest - *then > ALONE);
+        self.front().max(alone.map(|(_, newest)| newest - ALONE))
     }
 
     /// When the next frame of a camera is expected; `None` before its first one.

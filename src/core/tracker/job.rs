@@ -78,13 +78,6 @@ impl Job {
         let used: Vec<_> = self.frames.iter().rev().filter(is_used).collect();
         used.into_iter().rev()
     }
-
-    /// Number of nominal frames to use, at least 1.
-    pub(super) fn used_count(&self) -> usize {
-        let period = self.frame_period.ns().max(1);
-        let frames = ((self.end - self.start).ns() + period / 2) / period;
-        (frames.max(1) as usize).div_ceil(self.effort.stride.max(1))
-    }
 }
 
 /// The kind of a job, with its known values.

@@ -14,19 +14,20 @@ const MIN_VIEW: usize = 4;
 
 /// The reason why too little was seen to solve the window; `None` if enough was seen.
 pub(super) fn hidden(gate: &Gate, job: &Job, observations: &[FrameObservations]) -> Option<String> {
-    let frames = job.used_count();
-    let observed: usize = observations.iter().map(|frame| frame.observations().len()).sum();
+    // By camera, the numbers of its frames and of its observations: some cameras are slower than others.
+    let mut views = vec![(0, 0); job.rig.cameras.len()];
+    job.used_frames().for_each(|frame| views[frame.camera].0 += 1);
+    let all = observations.iter().flat_map(|frame| frame.observations());
+    all.for_each(|seen| views[seen.camera].1 += 1);
+    views.retain(|(_, seen)| *seen > 0);
+    let frames = views.iter().map(|(frames, _)| *frames).max().unwrap_or(1).max(1);
+    let observed: usize = views.iter().map(|(_, seen)| seen).sum();
     let per_frame = observed as f64 / frames as f64;
     if per_frame < gate.lost_observations {
         let least = gate.lost_observations;
         return Some(format!("{per_frame:.1} observations a frame, below {least}"));
     }
-    let views = (0..job.rig.cameras.len())
-        .filter(|&camera| {
-            let seen = observations.iter().flat_map(|frame| frame.observations());
-            seen.filter(|o| o.camera == camera).count() >= MIN_VIEW * frames
-        })
-        .count();
+    let views = views.iter().filter(|(frames, seen)| *seen >= MIN_VIEW * frames).count();
     (views < 2).then(|| format!("{views} cameras see the performer, 2 are needed"))
 }
 

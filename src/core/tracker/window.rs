@@ -50,7 +50,7 @@ impl Tracker {
 
     /// Live: drops frames whose poses are too old to be of use, and searches again after them.
     fn skip_backlog(&mut self) {
-        let front = self.intake.front().filter(|_| self.live.is_some());
+        let front = self.intake.front_or_alone().filter(|_| self.live.is_some());
         let (Some(front), Some(start)) = (front, self.start) else {
             return;
         };

@@ -84,6 +84,11 @@ impl CameraClock {
         *self = Self { left_out: Some(why), correction: self.correction, ..Self::default() };
     }
 
+    /// It is silent: what its frames were is forgotten.
+    pub(crate) fn forget(&mut self) {
+        *self = Self { is_silent: true, correction: self.correction, ..Self::default() };
+    }
+
     /// What is added to its capture times.
     pub(crate) fn correction(&self) -> Nanos {
         self.correction

@@ -23,16 +23,20 @@ impl Clock {
         let Some(usual) = median(self.levels()) else { return };
         let mut used = self.levels().count();
         for camera in &mut self.cameras {
-            let Some(behind) = camera.level().map(|level| level - usual) else { continue };
+            let level = camera.level().filter(|_| !camera.is_silent);
+            let Some(behind) = level.map(|level| level - usual) else { continue };
             match camera.left_out {
                 None if behind > MOST_BEHIND && camera.is_settled() && used > 2 => {
                     camera.left_out = Some(LeftOut::Late(behind));
                     used -= 1;
                 }
+                // Late is better than alone.
                 Some(LeftOut::Late(_))
-                    if camera.lasting().is_some_and(|at| at - usual < MOST_BEHIND * 4 / 5) =>
+                    if used < 2
+                        || camera.lasting().is_some_and(|at| at - usual < MOST_BEHIND * 4 / 5) =>
                 {
                     camera.left_out = None;
+                    used += 1;
                 }
                 _ => {}
             }

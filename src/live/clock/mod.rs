@@ -192,6 +192,8 @@ impl Clock {
         for (index, camera) in self.cameras.iter_mut().enumerate() {
             match stepped.iter().position(|&c| c == index) {
                 Some(at) => camera.restart(now, offsets[at]),
+                // It may come back with either clock.
+                None if camera.is_silent && camera.left_out.is_none() => camera.forget(),
                 None if camera.last.is_some() => {
                     camera.leave_out(LeftOut::Clock(-by));
                     // Perhaps its next frame has stepped too.

@@ -157,6 +157,9 @@ impl Core {
         let Some(camera) = self.cameras.get_mut(index) else { return };
         let name = camera.name().to_owned();
         let (is_usable, warning) = camera.check_unit(capture);
+        if !is_usable && warning.is_none() {
+            camera.refused();
+        }
         if let Some(detail) = warning {
             let detail = format!("{detail}; its frames are not used");
             self.event(EventKind::Unusable, Some(&name), detail);
@@ -179,6 +182,8 @@ impl Core {
         let (now, index, capture) = (self.now, frame.camera, frame.capture);
         let Some(camera) = self.cameras.get_mut(index) else { return false };
         let name = camera.name().to_owned();
+        // What is due until now is of the clock so far.
+        self.drain();
         let arrival = self.clock.arrive(index, now, capture + offset);
         self.report_strays();
         match arrival {

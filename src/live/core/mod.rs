@@ -192,10 +192,7 @@ impl Core {
             Input::Played(deviations_us) => self.published.played(&deviations_us),
             Input::End => {
                 self.give_up_start();
-                for (performer, solution, took) in std::mem::take(&mut self.held) {
-                    self.solved(performer, solution, took);
-                    self.drain();
-                }
+                self.use_held();
                 self.release_all();
                 self.put_out_bodies();
                 self.give(stage::Input::End);
@@ -214,6 +211,14 @@ impl Core {
         let is_flushed = std::mem::take(&mut self.is_flushed);
         self.write_journal(is_last || is_flushed);
         self.wake();
+    }
+
+    /// The take that waited does not begin: the solutions that came meanwhile are of use.
+    fn use_held(&mut self) {
+        for (performer, solution, took) in std::mem::take(&mut self.held) {
+            self.solved(performer, solution, took);
+            self.drain();
+        }
     }
 
     /// Publishes the journal's entries if it is time, or if all are to be written.

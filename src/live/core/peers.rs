@@ -31,6 +31,8 @@ struct Peer {
 pub(super) struct Peers {
     /// By actor.
     all: BTreeMap<String, Peer>,
+    /// At the front: the status up to which each solver is counted. One that is away may come back.
+    counted: BTreeMap<String, Status>,
     /// At the front: what all solvers have counted since it started.
     windows: WindowCounters,
     playout: PlayoutCounters,
@@ -66,8 +68,10 @@ impl Peers {
     }
 
     /// Counts what a solver has done since its status before.
-    fn count(&mut self, before: &Status, status: &Status) {
-        let before = if before.run_id == status.run_id { before } else { &Status::default() };
+    fn count(&mut self, solver: &str, status: &Status) {
+        let before = self.counted.insert(solver.to_owned(), status.clone());
+        let before = before.filter(|before| before.run_id == status.run_id);
+        let before = &before.unwrap_or_default();
         let windows = [status, before].map(|one| one.windows.clone().unwrap_or_default());
         let playout = [status, before].map(|one| one.playout.clone().unwrap_or_default());
         add_windows(&mut self.windows, &windows);
@@ -100,9 +104,9 @@ impl Core {
         };
         let is_solver = self.is_other_solver(actor);
         let peer = Peer { heard: self.now, status: status.clone() };
-        let before = self.peers.all.insert(actor.to_owned(), peer);
+        self.peers.all.insert(actor.to_owned(), peer);
         if is_solver && self.is_front() {
-            self.peers.count(&before.map(|peer| peer.status).unwrap_or_default(), &status);
+            self.peers.count(actor, &status);
         }
     }
 
@@ -264,14 +268,20 @@ mod tests {
     fn counts_of_solvers_never_fall() {
         let mut peers = Peers::default();
         let told = [status(1, 10, [8, 2]), status(1, 15, [11, 4]), status(2, 5, [5, 0])];
-        peers.count(&Status::default(), &told[0]);
-        peers.count(&told[0], &told[1]);
+        peers.count("a", &told[0]);
+        peers.count("a", &told[1]);
         // It was started again.
-        peers.count(&told[1], &told[2]);
+        peers.count("a", &told[2]);
         assert_eq!((peers.playout.published, peers.windows.tracked), (20, 4));
         assert_eq!(peers.playout.deviation_counts, [16, 4]);
-        peers.count(&told[2], &status(2, u64::MAX, [u64::MAX, 0]));
+        peers.count("a", &status(2, u64::MAX, [u64::MAX, 0]));
         assert_eq!(peers.playout.published, u64::MAX);
+        // It was away, and what it had counted is not counted again.
+        let mut peers = Peers::default();
+        peers.count("a", &told[0]);
+        peers.all.clear();
+        peers.count("a", &told[1]);
+        assert_eq!(peers.playout.published, 15);
     }
 
     #[test]

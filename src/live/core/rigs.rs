@@ -64,7 +64,12 @@ impl Core {
             self.calibrate(bytes, "the bus");
             return;
         }
-        self.known_rigs.push(fnv1a(bytes));
+        // A run may begin with a rig that is known.
+        let hash = fnv1a(bytes);
+        if self.known_rigs.contains(&hash) {
+            return;
+        }
+        self.known_rigs.push(hash);
         let what = wire::decode::<wire::Rig>(bytes).map_or("not a rig".into(), |rig| told(&rig));
         let detail = format!("{what}, from the bus; this node's rig comes from its file");
         self.event(EventKind::RigRefused, None, detail);

@@ -44,6 +44,17 @@ impl Core {
             }
             return;
         }
+        if take.action == "stop"
+            && let Some(waiting) =
+                self.starting.take_if(|one| take.name.is_empty() || take.name == one.name)
+        {
+            let text = format!("take {} ended before it began", waiting.name);
+            self.answer(waiting.id, Err(text.clone()));
+            self.use_held();
+            if self.running.is_empty() || take.name == waiting.name {
+                return self.answer(take.id, Ok(text));
+            }
+        }
         // The front answers for solvers.
         match &*take.action {
             "start" | "stop" => {}
@@ -263,8 +274,9 @@ impl Core {
     pub(super) fn begin_take(&mut self, take: Take) {
         let text = format!("take {} begins", take.name);
         self.event(EventKind::Take, None, text.clone());
-        self.write_journal(true);
         self.put_out_bodies();
+        self.seconds(true);
+        self.write_journal(true);
         let stage = self.stage.as_ref();
         let body = |stage: &Stage| stage.lead().known_body().map(|b| wire::Skeleton::from_core(b));
         let is_several = self.is_several();

@@ -17,7 +17,7 @@ use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 pub use choosing::FollowError;
-use recognition::{OTHER_BODY, UNDECIDED};
+use recognition::UNDECIDED;
 
 /// A newcomer who is not seen for this long was none.
 const DOUBTFUL: Nanos = Nanos::from_ms(120);
@@ -79,6 +79,8 @@ struct Absent {
     has_left: bool,
     /// Whether this one is to be a bystander on return.
     is_unwanted: bool,
+    /// Whether the last place is of another calibration's world.
+    is_elsewhere: bool,
 }
 
 /// What happened to a performer, by number from 0.
@@ -209,13 +211,21 @@ impl People {
         self.names.know(known);
     }
 
-    /// Nobody is in view any more.
-    pub(super) fn restart(&mut self) {
+    /// Nobody is in view any more. Capture times are so much later from here on.
+    pub(super) fn restart(&mut self, step: Nanos) {
         for member in std::mem::take(&mut self.members) {
             if let Role::Performer(performer) = member.role {
                 self.absent.push(Absent::new(performer, member.person));
             }
         }
+        for one in &mut self.absent {
+            one.person.step(step);
+        }
+    }
+
+    /// The cameras are calibrated in another world from here on.
+    pub(super) fn leave_world(&mut self) {
+        self.absent.iter_mut().for_each(|one| one.is_elsewhere = true);
     }
 
     /// Finds all people in `frames`, which have one time. Frames `aside` (of moved cameras) are not searched.
@@ -304,7 +314,7 @@ impl People {
     /// A performer who was hidden is lost if it turns out that somebody else is followed in its place.
     fn tell_from_hidden(&mut self) {
         for member in &mut self.members {
-            let Some(before) = member.person.settle(UNDECIDED, OTHER_BODY) else { continue };
+            let Some(before) = member.person.settle(UNDECIDED) else { continue };
             if let Role::Performer(performer) = member.role {
                 // Who was merged with it meanwhile may be the one who is followed.
                 let merged = self.absent.iter_mut().filter(|one| one.merged == Some(performer));
@@ -387,7 +397,8 @@ impl People {
 impl Absent {
     /// A performer who is lost.
     fn new(performer: usize, person: Person) -> Self {
-        Self { performer, person, merged: None, has_left: false, is_unwanted: false }
+        let (has_left, is_unwanted, is_elsewhere) = Default::default();
+        Self { performer, person, merged: None, has_left, is_unwanted, is_elsewhere }
     }
 
     fn make_unwanted(&mut self) {

@@ -3,13 +3,15 @@
 use super::{Absent, Change, ELSEWHERE, Member, People, Role, Wish};
 use crate::core::stage::performer_id::PerformerId;
 use crate::core::stage::person::{Person, apart};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
-/// A newcomer is a person after so many frame sets; after so many if it may be a performer of before; and after so
-/// many if it is still not clear which one.
-const CONFIRMED: u32 = 5;
-const RECOGNISED: u32 = 15;
-pub(super) const UNDECIDED: u32 = 30;
+/// A newcomer is a person after so many frame sets and so long; after so many if it may be a performer of before; and
+/// after so many if it is still not clear which one.
+const CONFIRMED: (u32, Nanos) = (5, Nanos::from_ms(60));
+const RECOGNISED: (u32, Nanos) = (15, Nanos::from_ms(230));
+pub(super) const UNDECIDED: (u32, Nanos) = (30, Nanos::from_ms(480));
+/// Performers who were followed for this long keep their places if they are merged with another one.
+const FOLLOWED: Nanos = Nanos::from_ms(2000);
 /// How far people get while they are not seen, metres and m/s.
 const AWAY_M: f64 = 0.6;
 const AWAY_M_S: f64 = 3.0;
@@ -19,8 +21,6 @@ const SAME_BODY: f64 = 1.7;
 const EXPECTED_BODY: f64 = 2.5;
 /// Up to this difference, more is to be measured.
 const DOUBTFUL_BODY: f64 = 3.0;
-/// Above this difference, the one who is followed is somebody else.
-pub(super) const OTHER_BODY: f64 = 4.0;
 
 /// Who a member is.
 enum Verdict {
@@ -37,7 +37,7 @@ impl People {
     pub(super) fn has_place(&self) -> bool {
         let present =
             self.members.iter().filter(|member| matches!(member.role, Role::Performer(_)));
-        let lost = self.absent.iter().filter(|one| !one.has_left && one.merged.is_none());
+        let lost = self.absent.iter().filter(|one| one.keeps_place());
         present.count() + lost.count() < self.limit
     }
 
@@ -46,8 +46,8 @@ impl People {
         let is_there = |performer: usize| {
             self.members.iter().any(|m| matches!(m.role, Role::Performer(own) if own == performer))
         };
-        let has_own_place = !one.has_left && one.merged.is_none();
-        one.is_unwanted || one.merged.is_none_or(is_there) && (has_own_place || self.has_place())
+        one.is_unwanted
+            || one.merged.is_none_or(is_there) && (one.keeps_place() || self.has_place())
     }
 
     /// Candidates become performers or bystanders: who is known best first, then the largest.
@@ -58,10 +58,12 @@ impl People {
             let is_known = || matches!(self.judge(index, at), Verdict::Known(_));
             match role {
                 // Somebody in the place of another member may be the same person.
-                Role::Candidate(_) => person.sets >= CONFIRMED && close_since.is_none(),
+                Role::Candidate(_) => person.is_seen_for(CONFIRMED) && close_since.is_none(),
                 // Who comes to the region later, or is recognised later.
-                Role::Bystander if !is_open || person.seen < at => false,
-                Role::Bystander => self.is_chosen(index) || *wish == Wish::Open && is_known(),
+                Role::Bystander if person.seen < at => false,
+                Role::Bystander => {
+                    is_open && self.is_chosen(index) || *wish == Wish::Open && is_known()
+                }
                 Role::Performer(_) => false,
             }
         };
@@ -78,7 +80,8 @@ impl People {
         for (_, index) in ready {
             if let Some(other) = self.elsewhere(index, at) {
                 // The performer goes on here; its tracker has had frames without it meanwhile.
-                self.members[other].person = self.members[index].person.clone();
+                let candidate = self.members[index].person.clone();
+                self.members[other].person.go_on_as(candidate, DOUBTFUL_BODY);
                 gone.push(index);
                 continue;
             }
@@ -89,7 +92,8 @@ impl People {
                     continue;
                 }
                 Verdict::Known(place) => {
-                    let performer = self.absent.remove(place).performer;
+                    let Absent { performer, person: before, .. } = self.absent.remove(place);
+                    self.members[index].person.lengths.join(&before.lengths);
                     changes.push(Change::Returned(performer));
                     performer
                 }
@@ -116,17 +120,38 @@ impl People {
 
     /// Who a member is.
     fn judge(&self, index: usize, at: Timestamp) -> Verdict {
-        let sets = self.members[index].person.sets;
+        let person = &self.members[index].person;
         let may_return = self.absent.iter().any(|one| self.may_return(one));
-        if may_return && sets < RECOGNISED {
+        let is_early = may_return && !person.is_seen_for(RECOGNISED);
+        if is_early || self.is_taken_for(person, at) {
             return Verdict::Unsure;
         }
+        // Too little may be seen to compare.
+        let is_unknown = |one: &Absent| {
+            one.person.was_here()
+                && self.may_return(one)
+                && one.may_be_there(person, at)
+                && one.person.lengths.difference(&person.lengths).is_none()
+        };
+        let is_undecided = !person.is_seen_for(UNDECIDED);
         let gate = if self.has_place() { SAME_BODY } else { EXPECTED_BODY };
         match self.most_alike(index, at) {
             Some((place, difference)) if difference < gate => Verdict::Known(place),
-            Some(_) if sets < UNDECIDED => Verdict::Unsure,
+            Some(_) if is_undecided => Verdict::Unsure,
+            None if is_undecided && self.absent.iter().any(is_unknown) => Verdict::Unsure,
             _ => Verdict::New,
         }
+    }
+
+    /// Whether this may be a performer for whom somebody else may be taken at the moment.
+    fn is_taken_for(&self, candidate: &Person, at: Timestamp) -> bool {
+        let performers =
+            self.members.iter().filter(|member| matches!(member.role, Role::Performer(_)));
+        performers.filter_map(|member| member.person.in_doubt()).any(|before| {
+            let difference = before.lengths.difference(&candidate.lengths);
+            difference.is_none_or(|difference| difference < EXPECTED_BODY)
+                && may_be_there(before, candidate, at)
+        })
     }
 
     /// Whether a member who is a performer of before is to be nobody.
@@ -205,9 +230,8 @@ impl People {
                 return Some((place, 0.0));
             }
             let difference = one.person.lengths.difference(&candidate.lengths)?;
-            let is_possible = !is_somebody(one)
-                && (!one.person.was_here() || may_be_there(&one.person, candidate, at))
-                && self.may_return(one);
+            let is_possible =
+                !is_somebody(one) && one.may_be_there(candidate, at) && self.may_return(one);
             is_possible.then_some((place, difference))
         });
         let alike = differences.filter(|(_, difference)| *difference < DOUBTFUL_BODY);
@@ -215,9 +239,21 @@ impl People {
     }
 }
 
+impl Absent {
+    /// Whether nobody else may have the place.
+    fn keeps_place(&self) -> bool {
+        let is_one = || self.person.seen - self.person.first > FOLLOWED;
+        !self.has_left && (self.merged.is_none() || is_one())
+    }
+
+    /// Whether the performer can have got to where a candidate is.
+    fn may_be_there(&self, candidate: &Person, at: Timestamp) -> bool {
+        self.is_elsewhere || !self.person.was_here() || may_be_there(&self.person, candidate, at)
+    }
+}
+
 /// Whether a person who was not seen for a while can have got to where the candidate is.
 fn may_be_there(person: &Person, candidate: &Person, at: Timestamp) -> bool {
-    // The cameras' clock may have been set back.
     let reach = AWAY_M + AWAY_M_S * person.unseen(at).seconds().max(0.0);
     apart(person.points(), candidate.points()).is_some_and(|off| off < reach)
 }
