@@ -1,5 +1,6 @@
 //! `bundlemocap retarget`
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -35,7 +36,7 @@ Live poses are published on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C
 --out they are written meanwhile, to a hidden .part file that is then renamed. Several performers have
 a file each: take1.p1.bvh, take1.p2.bvh. --actor chooses one. All files of a recording begin at its
 first frame, those of live poses at the first pose of all; before a performer's first pose they
-repeat it, for at most ten minutes.
+repeat it. Who comes more than ten minutes later has a file that begins with the own first pose.
 
 Examples:
   bundlemocap retarget --skeleton robot.bvh
@@ -157,13 +158,16 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     check_name("--name", &name)?;
     if let Some(out) = &arguments.out {
         arguments.overwrite.check(out)?;
-        // The performers are not known yet.
-        for path in files_of_performers(out) {
-            arguments.overwrite.check(&path)?;
-        }
     }
     let config = arguments.bus.settings()?;
     let topics = arguments.bus.topics(&config);
+    if let Some(out) = arguments.out.as_deref().filter(|_| topics.actor == "*") {
+        // The performers are not known yet.
+        let files = files_of_performers(out).into_iter();
+        for path in files.filter(|path| !is_same_file(path, &arguments.skeleton)) {
+            arguments.overwrite.check(&path)?;
+        }
+    }
     let bus = open(&config)?;
     let stop = Stop::on_signals()?;
     // The file of a lone performer has the given name.
@@ -198,11 +202,14 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
 fn files_of_performers(out: &Path) -> Vec<PathBuf> {
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
     let all = std::fs::read_dir(folder.unwrap_or(Path::new("."))).into_iter().flatten().flatten();
+    let text = |part: Option<&OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+    let (start, end) = (text(out.file_stem()) + ".", text(out.extension()));
     let is_of = |path: &PathBuf| {
-        let stem = path.file_stem().map(Path::new);
-        path.extension() == out.extension()
-            && stem.and_then(Path::file_stem) == out.file_stem()
-            && stem.is_some_and(|stem| stem.extension().is_some())
+        let name = text(path.file_name());
+        name.strip_prefix(&start).is_some_and(|rest| match &*end {
+            "" => true,
+            end => rest.ends_with(&format!(".{end}")),
+        })
     };
     all.map(|entry| entry.path()).filter(is_of).collect()
 }

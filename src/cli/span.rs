@@ -39,14 +39,22 @@ impl SpanArguments {
         if self.start.is_none() && self.end.is_none() {
             return Ok(None);
         }
-        let at = |option: &str, text: &Option<String>, default: i64| match text {
-            Some(text) => of
-                .time(text)
-                .map_err(|reason| Failure::new(Exit::Usage, format!("{option} {text}: {reason}"))),
-            None => Ok(Timestamp::from_ns(default)),
+        // All frames with these timecodes are in.
+        let half = |text: &String| match &of.house {
+            Some(house) if text.contains(':') => house.half_frame(),
+            _ => Nanos::ZERO,
         };
-        let start = at("--start", &self.start, i64::MIN)?;
-        let end = at("--end", &self.end, i64::MAX)?;
+        let at = |option: &str, text: &Option<String>, default: i64| match text {
+            Some(text) => match of.time(text) {
+                Ok(time) => Ok((time, half(text))),
+                Err(reason) => Err(Failure::new(Exit::Usage, format!("{option} {text}: {reason}"))),
+            },
+            None => Ok((Timestamp::from_ns(default), Nanos::ZERO)),
+        };
+        let (start, half) = at("--start", &self.start, i64::MIN)?;
+        let start = start - half;
+        let (end, half) = at("--end", &self.end, i64::MAX)?;
+        let end = end + half;
         if start > end {
             return Err(Failure::new(Exit::Usage, "--end is before --start"));
         }

@@ -197,9 +197,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if arguments.action != Action::Label && is_shown {
         return Err(Failure::new(Exit::Usage, "--display-name and --colour are for label"));
     }
-    let slate = Slate::open(&*bus, &topics(&config))?;
+    let mut slate = Slate::open(&*bus, &topics(&config))?;
     std::thread::sleep(LEAD);
-    let answers = answered(&slate, take, arguments.action.roles())?;
+    let answers = answered(&mut slate, take, arguments.action.roles())?;
     for TakeAnswer { role, text, refused, .. } in &answers {
         match refused {
             true => complain("warning", &format!("{role}: {text}")),
@@ -237,7 +237,7 @@ fn place(text: &str) -> Result<Vec<f64>, Failure> {
 }
 
 /// Publishes a command and collects the answers.
-fn answered(slate: &Slate, take: Take, roles: &[&str]) -> Result<Vec<TakeAnswer>, Failure> {
+fn answered(slate: &mut Slate, take: Take, roles: &[&str]) -> Result<Vec<TakeAnswer>, Failure> {
     let take = slate.send(take)?;
     let (begin, mut all) = (Instant::now(), Vec::<TakeAnswer>::new());
     let mut until = PATIENCE;
@@ -256,19 +256,31 @@ fn answered(slate: &Slate, take: Take, roles: &[&str]) -> Result<Vec<TakeAnswer>
 pub(super) struct Slate {
     inbox: Inbox,
     publisher: Box<dyn Publisher>,
+    topic: String,
+    sent: Option<Instant>,
 }
 
 impl Slate {
     pub(super) fn open(bus: &dyn Bus, topics: &Topics) -> Result<Self, Failure> {
         let inbox = Inbox::open(bus, &topics.take_answers())?;
-        Ok(Self { inbox, publisher: bus.publisher(&topics.take())? })
+        let topic = topics.take();
+        Ok(Self { inbox, publisher: bus.publisher(&topic)?, topic, sent: None })
+    }
+
+    /// Later, nobody who joins is to get the last command: the bus keeps it as long as its publisher lives.
+    pub(super) fn forget_sent(&mut self, bus: &dyn Bus) -> Result<(), Failure> {
+        if self.sent.take_if(|sent| sent.elapsed() > PATIENCE).is_some() {
+            self.publisher = bus.publisher(&self.topic)?;
+        }
+        Ok(())
     }
 
     /// Publishes a command under a new id; returns it with this id.
-    pub(super) fn send(&self, take: Take) -> Result<Take, Failure> {
+    pub(super) fn send(&mut self, take: Take) -> Result<Take, Failure> {
         let take = Take { id: WallClock::start().now().ns().unsigned_abs(), ..take };
         let kind = media_type(Take::FULL_NAME);
         self.publisher.put(Timestamp::default(), &kind, &encode(&take))?;
+        self.sent = Some(Instant::now());
         Ok(take)
     }
 

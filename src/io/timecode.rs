@@ -7,7 +7,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 /// A rate of timecode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -149,6 +149,12 @@ impl House {
     /// Its rate.
     pub fn rate(&self) -> Rate {
         self.rate
+    }
+
+    /// Half the time between two of its frames, rounded down. So far from its time a capture has a timecode.
+    pub fn half_frame(&self) -> Nanos {
+        let (numerator, denominator) = self.rate.period();
+        Nanos::new(i64::try_from((numerator - 1) / (2 * denominator)).unwrap_or(i64::MAX))
     }
 
     /// The timecode of the frame nearest to a capture time.

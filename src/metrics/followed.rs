@@ -8,8 +8,9 @@ use crate::core::detections::Keypoint;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Residual, Unfollowed, Verdict, WindowReport};
 
-/// An episode ends after a longer time in which its point is followed.
+/// An episode ends after a longer time in which its point is followed, and after more frame periods.
 const BREAK: Nanos = Nanos::from_ms(60);
+const BREAK_FRAMES: f64 = 1.5;
 /// Number of the longest episodes that are kept.
 const KEPT: usize = 5;
 
@@ -68,10 +69,15 @@ impl FollowedSums {
         let place = |residual: &Residual| (residual.capture, residual.point);
         let points = report.residuals.chunk_by(|a, b| place(a) == place(b));
         self.seen += points.filter(|views| views.len() > 1).count();
+        let frames = report.residuals.chunk_by(|a, b| a.capture == b.capture).count();
+        let ends = report.residuals.first().zip(report.residuals.last());
+        let seconds = ends.map_or(0.0, |(a, b)| b.capture.seconds_since(a.capture));
+        let period = seconds / frames.saturating_sub(1).max(1) as f64;
+        let longest = BREAK.max(Nanos::rounded(BREAK_FRAMES * period * 1e9));
         self.unfollowed += report.unfollowed.len();
         for found in &report.unfollowed {
             let before = self.open.remove(&found.keypoint);
-            let is_next = |open: &Open| found.capture - open.last <= BREAK;
+            let is_next = |open: &Open| found.capture - open.last <= longest;
             let episode = match before.filter(is_next) {
                 Some(open) => Open {
                     last: found.capture,
@@ -121,7 +127,15 @@ mod tests {
     use super::*;
 
     fn report(frames: std::ops::Range<u64>, unfollowed: impl Fn(u64) -> bool) -> WindowReport {
-        let at = |frame| Timestamp::of_frame(frame, 50.0);
+        report_at(50.0, frames, unfollowed)
+    }
+
+    fn report_at(
+        fps: f64,
+        frames: std::ops::Range<u64>,
+        unfollowed: impl Fn(u64) -> bool,
+    ) -> WindowReport {
+        let at = |frame| Timestamp::of_frame(frame, fps);
         let residual = |frame, camera| Residual {
             capture: at(frame),
             camera,
@@ -159,6 +173,15 @@ mod tests {
         assert_eq!((first.keypoint.as_str(), first.capture_time_ns), ("left elbow", 400_000_000));
         assert_eq!((second.frames, second.capture_time_ns), (3, 160_000_000));
         assert!((first.distance_m - 2.4).abs() < 1e-9);
+    }
+
+    #[test]
+    fn episodes_of_slow_cameras_go_on_from_frame_to_frame() {
+        let mut sums = FollowedSums::default();
+        let is_lost = |frame| matches!(frame, 3..=12 | 20);
+        (0..5).for_each(|k| sums.add(&report_at(10.0, 5 * k..5 * k + 5, is_lost)));
+        let found = sums.finish().unwrap();
+        assert_eq!((found.episodes, found.longest_frames), (2, 10));
     }
 
     #[test]

@@ -239,7 +239,8 @@ pub(super) fn page(
     summary: &Summary,
 ) -> ReportData {
     let shown = poses.shown.bins();
-    let start = shown.first().map_or_else(Timestamp::default, |pose| pose.capture);
+    // As in the figures, and the same for all performers.
+    let start = Timestamp::from_ns(summary.first_capture_time_ns.unwrap_or_default());
     let recording = Path::new(&summary.recording).file_name().unwrap_or_default();
     ReportData {
         title: recording.to_string_lossy().into_owned(),
@@ -286,8 +287,12 @@ fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<Moment> {
     });
     let all = windows.series.bins();
     let runs = all.chunk_by(|a, b| a.lost == b.lost).filter(|run| run[0].lost);
-    let lost = runs.map(|run| {
-        let seconds = run[run.len() - 1].end.seconds_since(run[0].start);
+    let runs: Vec<&[WindowSummary]> = runs.collect();
+    let lost = runs.iter().map(|run| {
+        // While somebody is searched there are no windows.
+        let next = all.iter().find(|window| window.start > run[run.len() - 1].start);
+        let end = next.map_or(run[run.len() - 1].end, |next| next.start);
+        let seconds = end.seconds_since(run[0].start);
         let what = format!("lost or extrapolated for {seconds:.2} s");
         moment(run[0].start, MomentKind::Lost, seconds, what)
     });

@@ -195,6 +195,7 @@ pub(crate) fn solve(
         known: config.known_people().map_err(error)?,
         out: Some(out.clone()),
         overwrite,
+        timecode: config.timecode.house().map_err(error)?,
         config_toml: Some(config.to_toml()),
         ..Options::default()
     };

@@ -28,6 +28,8 @@ const PING: Duration = Duration::from_secs(5);
 const GONE: Duration = Duration::from_secs(15);
 /// How often a page is told who receives what.
 const RECEIVERS: Duration = Duration::from_secs(2);
+/// A command of a page is kept for those who join for so long.
+const ANSWERED: Duration = Duration::from_secs(4);
 /// Most pages at a time.
 static PAGES: Semaphore = Semaphore::const_new(32);
 
@@ -234,7 +236,8 @@ fn try_orders(
 ) -> Result<(), BusError> {
     let bus = live.open()?;
     // It is there before the first command, so that nodes and recorders know it.
-    let slate: Box<dyn Publisher> = bus.publisher(&live.topics.take())?;
+    let mut slate: Box<dyn Publisher> = bus.publisher(&live.topics.take())?;
+    let mut asked: Option<Instant> = None;
     let clock = WallClock::start();
     let mut guards: Vec<(String, Box<dyn Guard>)> = Vec::new();
     drop(out.blocking_send(Outgoing::Open));
@@ -254,6 +257,10 @@ fn try_orders(
                     Err(error) => tracing::debug!("who receives is not known: {error}"),
                 }
                 next = Instant::now() + RECEIVERS;
+                // Who joins later is not to get the last command.
+                if asked.take_if(|asked| asked.elapsed() > ANSWERED).is_some() {
+                    slate = bus.publisher(&live.topics.take())?;
+                }
                 continue;
             }
             Ok(Order::Topics(patterns)) => patterns,
@@ -261,6 +268,7 @@ fn try_orders(
                 if let Some(take) = order.take() {
                     let kind = media_type(Take::FULL_NAME);
                     slate.put(Timestamp::default(), &kind, &encode(&take))?;
+                    asked = Some(Instant::now());
                 }
                 continue;
             }

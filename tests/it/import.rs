@@ -703,7 +703,7 @@ fn all_forms_of_the_same_detections_are_read_alike() {
             "numbered frames",
             "cam{}.json",
             Box::new(|camera| {
-                let frame = |(f, frame): (usize, &Vec<_>)| json!({ "people": each(&mmpose, frame), "frame_idx": f });
+                let frame = |(f, frame): (usize, &Vec<_>)| json!({ "people": each(&mmpose, frame), "frame_id": format!("{f}.jpg"), "frame_idx": f, "//": 7 });
                 let frames = camera.iter().enumerate().rev().map(frame).collect::<Value>();
                 format!("\u{feff}{frames}")
             }),
@@ -771,9 +771,11 @@ fn rows_of_a_table_are_frames_by_their_number() {
         let said = folder.notes().join("\n");
         assert!(said.contains("the first frame of all is 99"), "{said}");
     }
-    write(root.path(), "cam2.csv", &text("time"));
-    let error = open().err().unwrap().to_string();
-    assert!(error.contains("cam2.csv") && error.contains("no column frame"), "{error}");
+    for other in ["time", "index", ""] {
+        write(root.path(), "cam2.csv", &text(other));
+        let error = open().err().unwrap().to_string();
+        assert!(error.contains("cam2.csv") && error.contains("no column frame"), "{error}");
+    }
 }
 
 #[test]

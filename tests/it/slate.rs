@@ -201,6 +201,19 @@ fn a_take_that_waits_for_a_job_can_be_stopped() {
     let tracked = poses.iter().filter(|(_, pose)| pose.state == TrackingState::Tracking as i32);
     assert!(tracked.count() > 140);
     assert_agrees(&replayed(&recorded, None).unwrap());
+
+    // A second start of the running take: both are meant.
+    let slates = vec![
+        slate("start", "a", 0.5),
+        slate("start", "a", during_a_job),
+        slate("stop", "a", during_a_job),
+    ];
+    let (world, recorded) = session(3, slates);
+    let said = answers(&world);
+    let refused: Vec<bool> = said.iter().map(|(refused, _)| *refused).collect();
+    assert_eq!(refused, [false, true, false], "{said:?}");
+    assert_eq!(said[2].1, "actor: take a ended");
+    assert_agrees(&replayed(&recorded, Some("a")).unwrap());
 }
 
 #[test]

@@ -571,7 +571,7 @@ fn who_comes_where_a_performer_went_is_told_from_it_later() {
         0 => Vector3::new(0.2, 0.0, 0.0),
         _ => Vector3::new(0.9 + 0.5 * (seconds - 3.3).clamp(0.0, 2.0), 0.0, 0.2),
     };
-    let crowd = people(&[0.3, -0.5], 9.0, at);
+    let crowd = people(&[0.3, -0.42], 9.0, at);
     let is_there = |owner: usize, _: usize, seconds: f64| match owner {
         0 => !(3.0..7.0).contains(&seconds),
         _ => seconds > 3.3,
@@ -702,4 +702,46 @@ fn slow_cameras_beside_a_fast_one_are_views() {
             others.len()
         );
     }
+}
+
+/// A bystander is as tall as the second performer, who goes out and comes back.
+#[test]
+fn who_stands_by_does_not_become_the_performer_who_goes_out() {
+    let at = |person: usize, _: f64| Vector3::new(1.3 * person as f64 - 1.3, 0.0, 0.3);
+    let crowd = people(&[0.8, 0.1, 0.0], 9.0, at);
+    let is_there = |owner: usize, _: usize, seconds: f64| match owner {
+        0 => true,
+        1 => !(3.0..6.0).contains(&seconds),
+        _ => seconds > 1.0,
+    };
+    let result = run(&crowd.people()[0].rig, seen(&crowd, is_there), "2");
+    assert_eq!(result.events(EventKind::Entered), [0, 1]);
+    assert_eq!(result.events(EventKind::Reentered), [1], "{:?}", result.events);
+    let off = result.off(1, 6.5, |seconds| at(1, seconds));
+    assert!(off < 0.12, "{off} m: {:?}", result.events);
+}
+
+/// All cameras but one stop at some time of a window.
+#[test]
+fn a_window_in_which_the_cameras_stop_is_not_tracked() {
+    let crowd = people_at(60.0, &[0.3], 4.0, |_, _| Vector3::zeros());
+    for cut in 120..130 {
+        let frames = zero(&crowd).filter(|frame| frame.camera == 0 || frame.frame <= cut);
+        let result = run(&crowd.people()[0].rig, frames, "1");
+        let cut = cut as f64 / 60.0;
+        let tracked = result.poses.iter().filter(|(_, pose)| pose.state == TrackingState::Tracking);
+        let last = tracked.map(|(_, pose)| pose.capture.ns() as f64 * 1e-9).fold(0.0, f64::max);
+        assert!((cut - 0.17..cut + 0.05).contains(&last), "{last} s, cut at {cut} s");
+    }
+}
+
+/// Two cameras see the second person; one of them is nine times as slow as the other.
+#[test]
+fn somebody_whom_a_slow_camera_sees_is_found() {
+    let at = |person: usize, _: f64| Vector3::new(1.8 * person as f64 - 0.9, 0.0, 0.3);
+    let crowd = people_at(60.0, &[0.3, -1.0], 6.0, at);
+    let is_seen = |owner: usize, camera: usize, _: f64| owner == 0 || camera < 2;
+    let frames = seen(&crowd, is_seen).filter(|frame| frame.camera != 1 || frame.frame % 9 == 0);
+    let result = run(&crowd.people()[0].rig, frames, "auto");
+    assert_eq!(result.events(EventKind::Entered), [0, 1]);
 }

@@ -79,6 +79,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             Err(error) => return Err(unusable(error)),
         }
         bridge.send_answers();
+        bridge.slate.forget_sent(&*bus)?;
     }
     say(&bridge.count.to_string());
     Ok(Exit::Done)

@@ -94,8 +94,8 @@ pub(crate) struct Recorder {
     folder: PathBuf,
     all: Option<Open>,
     take: Option<Running>,
-    /// Name of the take that runs, or of the last one.
-    last: Option<String>,
+    /// Name of the take that runs, or of the last one, and of its file without the ending.
+    last: Option<(String, String)>,
     ending: Vec<Ending>,
     /// Messages on topics above the limit, of all complete takes.
     skipped: u64,
@@ -197,8 +197,9 @@ impl Recorder {
 
     /// Adds a line to the list of takes.
     fn note(&self, take: &Take, now: Timestamp) -> std::io::Result<String> {
-        let named = Some(&take.name).filter(|name| !name.is_empty());
-        let name = named.or(self.last.as_ref());
+        let is_last = |(last, _): &&(String, String)| take.name.is_empty() || *last == take.name;
+        let last = self.last.as_ref().filter(is_last).map(|(_, file)| file);
+        let name = last.or(Some(&take.name).filter(|name| !name.is_empty()));
         let name = name.ok_or_else(|| std::io::Error::other("no take was recorded"))?;
         let path = self.folder.join(NOTES);
         let is_new = !path.exists();
@@ -230,14 +231,18 @@ impl Recorder {
             Ok(writer) => writer,
             Err(error) => return Ok(vec![Said::Answer(take.id, Err(error.to_string()))]),
         };
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let mut file = Open { path, writer, recorded: Recorded::default() };
-        for entry in self.rig.iter().chain(&self.recent) {
+        let begin = now - MARGIN;
+        // It came before the take begins.
+        let rig = self.rig.clone().map(|rig| RawEntry { log_time: begin, ..rig });
+        for entry in rig.iter().chain(self.recent.iter().filter(|entry| entry.log_time >= begin)) {
             file.write(entry)?;
         }
         let free = self.room.free();
         let free = free.map_or(String::new(), |free| format!(", {:.1} GB free", free as f64 / 1e9));
         let text = format!("recording to {}{free}", file.path.display());
-        self.last = Some(take.name.clone());
+        self.last = Some((take.name.clone(), stem));
         self.take = Some(Running { name: take.name.clone(), file });
         Ok(vec![Said::Answer(take.id, Ok(text))])
     }
@@ -365,6 +370,13 @@ mod tests {
                 assert_eq!(ended.len(), usize::from(i == 40), "{i} {ended:?}");
             }
         }
+        // A note is for the file, whatever the name of the take.
+        let note = Take { mark: "good".into(), ..slate("note", "walk") };
+        let said = recorder.slate(&note, at(29.0)).unwrap();
+        assert!(
+            matches!(&said[..], [Said::Answer(3, Ok(text))] if text.contains("walk_2 ")),
+            "{said:?}"
+        );
         // Another recorder may have it.
         assert!(recorder.slate(&slate("stop", ""), at(30.0)).unwrap().is_empty());
         recorder.slate(&slate("start", "run"), at(31.0)).unwrap();
@@ -374,14 +386,18 @@ mod tests {
         for file in ["walk.mcap", "walk_2.mcap"] {
             let mut reader = Reader::open(folder.path().join(file)).unwrap();
             let mut counts = BTreeMap::<Arc<str>, u64>::new();
-            while let Some(entry) = reader.next_raw() {
-                *counts.entry(entry.unwrap().topic).or_default() += 1;
+            let mut first = None;
+            while let Some(entry) = reader.next_raw().transpose().unwrap() {
+                // The rig of long before does not make the take longer.
+                let first = *first.get_or_insert(entry.log_time);
+                assert!(entry.log_time.seconds_since(first) < 3.2, "{file}");
+                *counts.entry(entry.topic).or_default() += 1;
             }
             // Frames of the second before, of the take and of the second after it; poses since it.
             let counts: Vec<u64> = counts.into_values().collect();
             assert!(matches!(counts[..], [21, 31..=32, 1]), "{file} {counts:?}");
         }
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4);
     }
 
     #[test]

@@ -64,6 +64,11 @@ impl LiveOffsets {
         }
     }
 
+    /// The clock of the cameras has stepped.
+    pub fn clock_jumped(&mut self) {
+        self.tracks = Tracks::new(self.corrections.len());
+    }
+
     /// Adds the performer in a frame, see [`Tracks::add`].
     pub fn add(&mut self, frame: &Detections, rig: &Rig, pose: &Pose, body: &Skeleton) {
         if let Some(camera) = rig.cameras.get(frame.camera) {

@@ -19,7 +19,7 @@ use crate::core::time::{Nanos, Timestamp};
 
 /// Length of a section; its pattern is the median of those of its frames.
 const SECTION: Nanos = Nanos::SECOND;
-/// Frames with a pattern that a section needs.
+/// Frames with a pattern that a section needs; it stays open for longer until it has them.
 const FRAMES: usize = 8;
 /// The newest sections; their median is the present pattern. Patterns older than as many sections are
 /// the past.
@@ -79,12 +79,12 @@ struct Watched {
 }
 
 impl Watched {
-    /// Closes the section. Returns whether it has a pattern.
+    /// Closes the section, if it has enough frames. Returns whether it did.
     fn close(&mut self) -> bool {
-        let open = std::mem::take(&mut self.open);
-        if open.len() < FRAMES {
+        if self.open.len() < FRAMES {
             return false;
         }
+        let open = std::mem::take(&mut self.open);
         self.newest.push_back(typical(open.iter()));
         if self.newest.len() <= NEWEST {
             return true;
@@ -136,6 +136,12 @@ impl Watchdog {
     /// Whether the camera does not fit its calibration.
     pub fn is_left_out(&self, camera: usize) -> bool {
         self.cameras.get(camera).is_some_and(|camera| camera.is_left_out)
+    }
+
+    /// The clock of the cameras has stepped.
+    pub fn clock_jumped(&mut self) {
+        self.until = None;
+        self.cameras.iter_mut().for_each(|camera| camera.open.clear());
     }
 
     /// Whether any frame was added.

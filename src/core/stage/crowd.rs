@@ -99,6 +99,9 @@ impl Crowd {
         let Complete { at, frames, until } = self.sets.next(all)?;
         let is_left_out = |frame: &Detections| self.left_out.get(frame.camera) == Some(&true);
         self.people.period = Nanos::rounded(self.sets.period());
+        let intake = self.sets.intake();
+        self.people.steps.clear();
+        self.people.steps.extend((0..intake.cameras()).map(|c| intake.step(c).unwrap_or_default()));
         let (aside, frames) = frames.into_iter().partition(is_left_out);
         Some((at, self.people.process(at, (frames, aside), until, &self.rig)))
     }
@@ -148,14 +151,19 @@ impl Crowd {
     /// Forgets the frames; all performers are lost until they are seen again. Capture times are so much later from here
     /// on.
     pub fn restart(&mut self, step: Nanos) {
-        self.sets.clear(self.rig.cameras.len());
+        let before = self.sets.clear(self.rig.cameras.len());
+        self.sets.intake().count_on_from(&before);
         self.people.restart(step);
     }
 
-    /// The same for cameras that are calibrated in another world.
+    /// The same for other cameras, or for these in another world.
     pub fn leave_world(&mut self, rig: Arc<Rig>) {
+        let before = self.sets.clear(rig.cameras.len());
+        if rig.has_cameras_of(&self.rig) {
+            self.sets.intake().count_on_from(&before);
+        }
         self.rig = rig;
-        self.restart(Nanos::ZERO);
+        self.people.restart(Nanos::ZERO);
         self.people.leave_world();
     }
 

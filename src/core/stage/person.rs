@@ -129,25 +129,28 @@ impl Person {
     /// Goes on as a person who was found elsewhere. That is somebody else if the lengths turn out to differ by more than
     /// `most`.
     pub(super) fn go_on_as(&mut self, other: Self, most: f64) {
-        let first = other.first;
-        let doubt = match self.doubt.take() {
-            Some(mut doubt) => {
-                doubt.lengths.join(&other.lengths);
-                doubt
-            }
-            None => {
-                let before = self.clone();
-                Box::new(Doubt { before, lengths: other.lengths, first, most })
-            }
-        };
+        let before = self.doubt.take().map_or_else(|| self.clone(), |doubt| doubt.before);
         *self = Self {
-            lengths: self.lengths,
-            sets: self.sets + other.sets,
-            extents: self.extents + other.extents,
-            first: self.first,
-            doubt: Some(doubt),
+            lengths: before.lengths,
+            sets: before.sets + other.sets,
+            extents: before.extents + other.extents,
+            first: before.first,
+            doubt: Some(Box::new(Doubt {
+                lengths: other.lengths,
+                first: other.first,
+                most,
+                before,
+            })),
             ..other
         };
+    }
+
+    /// The person is one of before.
+    pub(super) fn was_before(&mut self, before: &Self) {
+        self.lengths.join(&before.lengths);
+        if before.sets > 0 {
+            self.first = self.first.min(before.first);
+        }
     }
 
     /// After so many frame sets and so long since the person was hidden: the person as it was before, if its lengths
@@ -178,6 +181,11 @@ impl Person {
             TRUNK.iter().filter_map(|&keypoint| self.points[keypoint as usize]).collect();
         let middle = trunk.iter().sum::<Vector3<f64>>() / trunk.len() as f64;
         (!trunk.is_empty()).then_some([middle.x, middle.z])
+    }
+
+    /// The cameras that have shown the person.
+    pub(super) fn cameras(&self) -> impl Iterator<Item = usize> {
+        (0..).zip(&self.last).filter_map(|(camera, last)| last.is_some().then_some(camera))
     }
 
     /// Time since the person was last seen.

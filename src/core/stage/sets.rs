@@ -126,11 +126,12 @@ impl Sets {
     }
 
     /// Forgets all frames, and the time: the clock may have stepped back. From here on there are that
-    /// many cameras.
-    pub(super) fn clear(&mut self, cameras: usize) {
+    /// many cameras. Returns the intake of before.
+    pub(super) fn clear(&mut self, cameras: usize) -> Intake {
         let period = self.intake.rate().period();
-        let (delay, longest_wait) = (self.delay, self.longest_wait);
-        let events = std::mem::take(&mut self.events);
-        *self = Self { delay, longest_wait, events, ..Self::new(cameras, self.config, period) };
+        let before = std::mem::replace(self, Self::new(cameras, self.config, period));
+        (self.delay, self.longest_wait) = (before.delay, before.longest_wait);
+        self.events = before.events;
+        before.intake
     }
 }

@@ -158,6 +158,7 @@ impl Intake {
         let Some(seen) = seen else { return Vec::new() };
         self.rate.shift(camera, by);
         seen.watermark = seen.watermark.map(|watermark| watermark + by);
+        self.reached = None;
         seen.last = seen.last.map(|(number, capture)| (number, capture + by));
         self.held[camera].iter_mut().for_each(|frame| frame.capture = frame.capture + by);
         // Earlier ones belong to a window that is being solved.
@@ -298,13 +299,23 @@ impl Intake {
         self.front().max(alone.map(|(_, newest)| newest - ALONE))
     }
 
+    /// The usual time between two frames of a camera, if it is known.
+    pub(in crate::core) fn step(&self, camera: usize) -> Option<Nanos> {
+        let mut steps = self.cameras.get(camera)?.steps;
+        steps.sort_unstable();
+        Some(steps[STEPS / 2]).filter(|step| *step > Nanos::ZERO)
+    }
+
     /// When the next frame of a camera is expected; `None` before its first one.
     pub(in crate::core) fn next(&self, camera: usize, period: Nanos) -> Option<Timestamp> {
-        let seen = self.cameras.get(camera)?;
-        let mut steps = seen.steps;
-        steps.sort_unstable();
-        let step = steps[STEPS / 2];
-        Some(seen.watermark? + if step > Nanos::ZERO { step } else { period })
+        Some(self.watermark(camera)? + self.step(camera).unwrap_or(period))
+    }
+
+    /// Goes on counting the frames of the same cameras.
+    pub(in crate::core) fn count_on_from(&mut self, before: &Self) {
+        for (new, old) in self.cameras.iter_mut().zip(&before.cameras) {
+            new.used += old.used;
+        }
     }
 
     /// Cameras without a frame at or after `time`.

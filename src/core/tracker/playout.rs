@@ -87,6 +87,8 @@ impl Latency {
 pub(super) struct Playout {
     /// The capture time of the last final pose that was published.
     published: Option<Timestamp>,
+    /// All poses up to this time were skipped, if they had not been published.
+    skipped: Option<Timestamp>,
     /// The known final poses, published or not.
     finals: Published,
     /// The published final poses.
@@ -176,8 +178,10 @@ impl Tracker {
             let is_due = self.now.is_some_and(|now| now > capture + latency.declared);
             let grid = self.output_grid();
             if is_due || grid.is_some_and(|grid| self.playout.is_published(capture, &grid)) {
-                // A window's poses have been published before if the look-ahead is shorter.
-                let is_shown = self.playout.published.is_some() && !self.is_resuming();
+                // A window's poses have been published before if the look-ahead is shorter. Skipped ones are counted.
+                let is_shown = self.playout.published.is_some()
+                    && !self.is_resuming()
+                    && self.playout.skipped < Some(capture);
                 self.playout.missed += u64::from(latency.look_ahead.is_none() && is_shown);
                 return;
             }
@@ -327,6 +331,6 @@ impl Tracker {
         let detail = "too far behind, skipped".to_owned();
         self.counted_event(EventKind::Overdue, capture, None, skipped, detail);
         self.playout.missed += skipped;
-        self.playout.published = Some(until);
+        (self.playout.published, self.playout.skipped) = (Some(until), Some(until));
     }
 }

@@ -351,6 +351,8 @@ impl Tracker {
             Input::Restart => {
                 self.restart();
                 self.idle.clock_jumped();
+                self.offsets.clock_jumped();
+                self.watchdog.clock_jumped();
             }
             Input::WatchFrame(frame) => return self.push_watch_frame(frame),
             Input::Complete(until) => self.complete = self.complete.max(Some(until)),
@@ -527,6 +529,7 @@ impl Tracker {
         self.mending.clear();
         self.left_out.clear();
         self.next_rig = None;
+        self.intake = Intake::new(rig.cameras.len(), self.config.grace_windows);
         self.rig = rig;
         self.restart();
     }
@@ -551,6 +554,7 @@ impl Tracker {
         (self.delay, self.ended) = (old.delay, old.ended);
         self.abandoned = old.pending.map(|job| job.number).or(old.abandoned);
         (self.next_rig, self.outputs) = (old.next_rig, old.outputs);
+        self.intake.count_on_from(&old.intake);
         self.playout.extrapolated = old.playout.extrapolated;
         self.playout.missed = old.playout.missed;
     }

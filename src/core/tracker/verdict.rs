@@ -11,14 +11,22 @@ use crate::core::points::{extent, median};
 
 /// A view counts if it shows this many points per frame.
 const MIN_VIEW: usize = 4;
+/// A camera without frames after the first part of the window, one in this many, has stopped.
+const STOPPED: i64 = 4;
 
 /// The reason why too little was seen to solve the window; `None` if enough was seen.
 pub(super) fn hidden(gate: &Gate, job: &Job, observations: &[FrameObservations]) -> Option<String> {
-    // By camera, the numbers of its frames and of its observations: some cameras are slower than others.
+    // By camera, the numbers of its frames and of its observations: some cameras are slower than others. One that has
+    // stopped early is no view.
     let mut views = vec![(0, 0); job.rig.cameras.len()];
-    job.used_frames().for_each(|frame| views[frame.camera].0 += 1);
+    let mut goes_on = vec![false; views.len()];
+    let early = job.start + (job.end - job.start) / STOPPED;
+    for frame in job.used_frames() {
+        views[frame.camera].0 += 1;
+        goes_on[frame.camera] |= frame.capture > early;
+    }
     let all = observations.iter().flat_map(|frame| frame.observations());
-    all.for_each(|seen| views[seen.camera].1 += 1);
+    all.filter(|seen| goes_on[seen.camera]).for_each(|seen| views[seen.camera].1 += 1);
     views.retain(|(_, seen)| *seen > 0);
     let frames = views.iter().map(|(frames, _)| *frames).max().unwrap_or(1).max(1);
     let observed: usize = views.iter().map(|(_, seen)| seen).sum();

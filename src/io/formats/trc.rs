@@ -8,8 +8,8 @@ use super::trajectories::{Trajectories, TrajectoryError};
 use super::{ExportError, Unit, Up};
 use crate::io::new_file;
 
-/// A time this near to a frame is that of the frame, periods.
-const ON_FRAME: f64 = 0.01;
+/// A time this near to a frame is that of the frame, periods: files may have milliseconds.
+const ON_FRAME: f64 = 0.25;
 
 /// Parses the text of a file.
 pub(super) fn parse(text: &str) -> Result<Trajectories, TrajectoryError> {

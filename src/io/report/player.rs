@@ -89,7 +89,7 @@ pub struct PlayerPose {
     /// The quality of the pose.
     pub state: TrackingState,
     /// The pelvis in the world, millimetres.
-    root_mm: [i16; 3],
+    root_mm: [i32; 3],
     /// Of each joint's rotation, the root's first: the quaternion x y z w, times 32767.
     rotations: [[i16; 4]; JOINTS],
 }
@@ -100,7 +100,7 @@ impl PlayerPose {
         let rounded = |rotation: &Matrix3<f64>| {
             so3::xyzw_from_rotation(rotation).map(|number| (32767.0 * number).round() as i16)
         };
-        let root_mm = [0, 1, 2].map(|axis| (1000.0 * pose.root_position[axis]).round() as i16);
+        let root_mm = [0, 1, 2].map(|axis| (1000.0 * pose.root_position[axis]).round() as i32);
         let rotation = |j: usize| j.checked_sub(1).map_or(&pose.root_rotation, |j| &pose.local[j]);
         let rotations = std::array::from_fn(|j| rounded(rotation(j)));
         Self { capture, state, root_mm, rotations }
@@ -113,11 +113,10 @@ impl Track {
         let seconds = poses.iter().map(|pose| pose.capture.seconds_since(start) as f32);
         let seconds: Vec<u8> = seconds.flat_map(f32::to_le_bytes).collect();
         let states: Vec<u8> = poses.iter().map(|pose| pose.state as u8).collect();
-        let whole = |of: fn(&PlayerPose) -> &[i16]| -> Vec<u8> {
-            poses.iter().flat_map(of).flat_map(|number| number.to_le_bytes()).collect()
-        };
-        let root_mm = whole(|pose| &pose.root_mm);
-        let rotations = whole(|pose| pose.rotations.as_flattened());
+        let root_mm: Vec<u8> =
+            poses.iter().flat_map(|pose| pose.root_mm).flat_map(i32::to_le_bytes).collect();
+        let rotations = poses.iter().flat_map(|pose| pose.rotations.as_flattened());
+        let rotations: Vec<u8> = rotations.flat_map(|number| number.to_le_bytes()).collect();
         let [seconds, states, root_mm, rotations, rest] =
             [seconds, states, root_mm, rotations, super::body::rest(body)]
                 .map(|bytes| BASE64.encode(bytes));

@@ -51,6 +51,8 @@ pub(crate) struct Clock {
     pub(crate) base: Option<Base>,
     /// Arrival of the first frame.
     since: Option<Timestamp>,
+    /// Whether it was checked after a while that no camera's clock is ahead.
+    is_settled: bool,
     strays: Vec<(usize, Nanos, u32)>,
     /// Whether a quarter of a second has begun since delays were reviewed.
     pub(crate) is_to_review: bool,
@@ -65,6 +67,7 @@ impl Clock {
             cameras,
             base: None,
             since: None,
+            is_settled: false,
             strays: Vec::new(),
             is_to_review: false,
             reported: None,
@@ -109,9 +112,38 @@ impl Clock {
         if now - since < SETTLING {
             let least = self.levels().min();
             self.base = least.map(Base::of).or(self.base);
+        } else if self.leave_out_ahead(camera) {
+            return Arrival::NewClock(Nanos::ZERO);
         }
         self.stray(camera, strayed);
         Arrival::Used
+    }
+
+    /// Once, after a while: if most cameras have a common clock, leaves out those whose clocks are ahead of it. Returns
+    /// whether there are any, when a frame of another camera comes.
+    fn leave_out_ahead(&mut self, camera: usize) -> bool {
+        let levels: Vec<Nanos> = self.levels().collect();
+        let Some(middle) = median(levels.iter().copied()).filter(|_| !self.is_settled) else {
+            return false;
+        };
+        let base = Base::of(middle);
+        let is_sure = base.is_common() && levels.len() > 2;
+        let is_ahead =
+            |level: Nanos| is_sure && level < base.value() - AHEAD && level < middle - STEP;
+        if self.cameras[camera].level().is_some_and(is_ahead) {
+            return false;
+        }
+        self.is_settled = true;
+        for one in self.cameras.iter_mut().filter(|one| one.is_used()) {
+            if let Some(level) = one.level().filter(|level| is_ahead(*level)) {
+                one.leave_out(LeftOut::Clock(level - middle));
+            }
+        }
+        let is_new = self.levels().count() < levels.len();
+        if is_new {
+            self.base = self.levels().min().map(Base::of).or(self.base);
+        }
+        is_new
     }
 
     /// The capture times of a camera are corrected by so much from here on.

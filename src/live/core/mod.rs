@@ -386,9 +386,7 @@ impl Core {
         let passed = (self.now - next + Nanos::SECOND).max(Nanos::new(1));
         self.next_second = Some(self.now + Nanos::SECOND);
         self.overdue = 0;
-        for (kind, performer, message) in self.counts.second() {
-            self.publish_event(kind, performer, message);
-        }
+        self.publish_counts();
         self.review_peers();
         for camera in &mut self.cameras {
             camera.second(passed);
@@ -398,6 +396,13 @@ impl Core {
         self.clock.follow(self.now);
         self.lower_latency();
         self.publish_status();
+    }
+
+    /// Publishes the events that were only counted.
+    fn publish_counts(&mut self) {
+        for (kind, performer, message) in self.counts.second() {
+            self.publish_event(kind, performer, message);
+        }
     }
 
     /// Publishes the status of the node and, with several performers, of each.

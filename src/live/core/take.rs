@@ -51,7 +51,7 @@ impl Core {
             let text = format!("take {} ended before it began", waiting.name);
             self.answer(waiting.id, Err(text.clone()));
             self.use_held();
-            if self.running.is_empty() || take.name == waiting.name {
+            if self.running.is_empty() || !take.name.is_empty() && take.name != self.running {
                 return self.answer(take.id, Ok(text));
             }
         }
@@ -275,7 +275,8 @@ impl Core {
         let text = format!("take {} begins", take.name);
         self.event(EventKind::Take, None, text.clone());
         self.put_out_bodies();
-        self.seconds(true);
+        self.publish_counts();
+        self.publish_status();
         self.write_journal(true);
         let stage = self.stage.as_ref();
         let body = |stage: &Stage| stage.lead().known_body().map(|b| wire::Skeleton::from_core(b));

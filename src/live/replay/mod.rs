@@ -208,18 +208,27 @@ fn start_of(parts: &BTreeMap<u64, Journal>) -> Option<&JournalStart> {
     }
 }
 
-/// Whether the run of that take, or of none, ends with this entry: with the node, or because a take
-/// ended or began.
-fn is_end(entry: &JournalEntry, running: &str) -> bool {
-    match &entry.input {
-        Some(Entry::End(_)) => true,
-        Some(Entry::Message(JournalMessage { topic, payload: Some(payload), .. })) => {
-            let is_slate =
-                matches!(Topic::parse(topic), Ok(Topic::Stage { channel: StageChannel::Take, .. }));
-            is_slate && decode::<Take>(payload).is_ok_and(|take| ends(&take, running))
+/// Whether the run of that take, or of none, ends in these entries: with the node, or because a take
+/// ended or began. A take that waits to begin may be stopped before.
+fn is_whole(entries: &[JournalEntry], running: &str) -> bool {
+    let mut is_whole = false;
+    for entry in entries {
+        match &entry.input {
+            Some(Entry::End(_)) => return true,
+            Some(Entry::Message(message)) => {
+                let Some(take) = slate(message) else { continue };
+                is_whole = ends(&take, running) || is_whole && take.action != "stop";
+            }
+            _ => {}
         }
-        _ => false,
     }
+    is_whole
+}
+
+fn slate(JournalMessage { topic, payload, .. }: &JournalMessage) -> Option<Take> {
+    let is_slate =
+        matches!(Topic::parse(topic), Ok(Topic::Stage { channel: StageChannel::Take, .. }));
+    decode::<Take>(payload.as_ref().filter(|_| is_slate)?).ok()
 }
 
 /// Runs a core on a journal up to its end, or to the first input that is missing. `run` is the id of a
@@ -250,7 +259,7 @@ pub fn replay<E: From<ReplayError>>(
         run.outputs.clear();
     }
     // The last answers and poses follow after the end.
-    let is_whole = entries.iter().any(|entry| is_end(entry, &start.take));
+    let is_whole = is_whole(&entries, &start.take);
     let mut last = begin;
     let mut inputs = 1;
     let mut gap = None;

@@ -64,8 +64,9 @@ goToHash();
 
 if (isLive) await import("./takes.js").then(({ takes }) => setInterval(takes(store, source, lookOf, (x, y) => view.floorAt(x, y)), 250));
 
-/** The performers who are there; live, who left is not. */
-const present = () => [...store.performers.values()].filter(({ poses }) => !isLive || poses.times.length > 0);
+/** The performers who are there; live, who left or has another name now is not. */
+const present = () => [...store.performers.values()].filter(({ name, poses }) =>
+  !isLive || (poses.times.length > 0 && (!store.stage || store.lifeOf(name) !== undefined)));
 
 /** Names of performers that are not drawn. */
 const hidden = new Set();
@@ -365,7 +366,13 @@ function showTimeline() {
   const key = `${ticks.length} ${start.toFixed(1)}`;
   if ($("ticks").dataset.key === key) return;
   $("ticks").dataset.key = key;
-  $("ticks").replaceChildren(...ticks.slice(-2000).map((event) => {
+  // The worst of those in one place.
+  const worst = new Map();
+  for (const event of ticks) {
+    const column = Math.round(10 * place(event.at));
+    if (!worst.has(column) || RANK[levelOf(event)] > RANK[levelOf(worst.get(column))]) worst.set(column, event);
+  }
+  $("ticks").replaceChildren(...Array.from(worst.values(), (event) => {
     const { at, kind, detail } = event;
     const tick = element("i", "", levelOf(event));
     tick.title = `${at.toFixed(2)} s ${kind.replaceAll("_", " ")}: ${detail}`;

@@ -14,7 +14,7 @@ export class Series {
 
   /** Adds an item; one of the same time is replaced. Items of a clock that has jumped back are forgotten. */
   add(time, item, jump = Infinity) {
-    if (this.last - time > jump) [this.times, this.items] = [[], []];
+    if (this.last - time > jump) this.clear();
     const { times, items } = this;
     let at = times.length;
     while (at > 0 && times[at - 1] > time) at--;
@@ -24,6 +24,11 @@ export class Series {
     }
     times.splice(at, 0, time);
     items.splice(at, 0, item);
+  }
+
+  /** Forgets all. */
+  clear() {
+    [this.times, this.items] = [[], []];
   }
 
   /** Forgets what is outside of a span. */
@@ -163,6 +168,8 @@ export class Store {
   }
 
   takeStage(stage) {
+    // On another computer the node's name is a guess until it says so.
+    if (this.node !== undefined && stage.node && !this.statusOf.has(this.node)) this.node = this.judged = stage.node;
     if (this.node === undefined || stage.node === this.node) this.stage = stage;
   }
 
@@ -182,7 +189,7 @@ export class Store {
   /** Where a body has its keypoints: index in the format, x, y, z, and so on. */
   takePoints(name, capture, payload) {
     const points = new Float32Array(payload.slice().buffer);
-    this.performer(name).points.add(this.seconds(capture), points);
+    this.performer(name).points.add(this.seconds(capture), points, this.jump);
   }
 
   takeActor(name, channel, { read, readNew }, arrival) {
@@ -202,7 +209,14 @@ export class Store {
         late: pose.due_time_ns === undefined ? undefined : Number(arrival - pose.due_time_ns) / 1e6,
       };
       const series = channel === "pose" ? one.poses : one.provisional;
-      series.add(this.seconds(pose.capture_time_ns ?? 0n), item, this.jump);
+      const seconds = this.seconds(pose.capture_time_ns ?? 0n);
+      // The clock has jumped back for those who are not seen now, too.
+      if (series.last - seconds > this.jump) {
+        for (const { poses, provisional, points } of this.performers.values()) {
+          for (const all of [poses, provisional, points]) all.clear();
+        }
+      }
+      series.add(seconds, item, this.jump);
     }
   }
 
@@ -266,6 +280,9 @@ export class Store {
   }
 
   addEvent(event) {
+    // After each reconnection the last ones come again.
+    const same = (one) => ["at", "kind", "camera", "actor", "detail", "count", "run"].every((key) => one[key] === event[key]);
+    if (this.jump < Infinity && this.events.slice(-1000).some(same)) return;
     this.events.push(event);
     if (this.events.length > 20_000) this.events.shift();
   }

@@ -108,7 +108,8 @@ export function takes(store, source, lookOf, floorAt) {
     set($("record"), take ? `● ${take.name} ${clock} Stop` : "Record");
     $("take-name").disabled = take !== undefined;
     answers.push(...store.answers.splice(0).filter(({ id }) => sent?.ids.includes(id)));
-    const isRecorded = source.receivers?.some(({ program }) => program.startsWith("bundlemocap record")) ?? true;
+    const isRecorded = store.freeSpace !== undefined
+      || (source.receivers?.some(({ program }) => program.startsWith("bundlemocap record")) ?? true);
     $("answers").classList.toggle("bad", take !== undefined && !isRecorded);
     const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
     if (take && !isRecorded) lines.unshift("no recorder is known: start `bundlemocap record takes/`");

@@ -36,7 +36,9 @@ impl People {
             return Err(FollowError::Performer(self.names.of(PerformerId(performer))));
         }
         if !self.has_place() {
-            return Err(FollowError::Full(self.limit));
+            // Who was merged with another performer may be nobody.
+            let merged = self.absent.iter_mut().find(|one| one.merged.is_some() && !one.has_left);
+            merged.ok_or(FollowError::Full(self.limit))?.has_left = true;
         }
         self.members[nearest].wish = Wish::Wanted;
         Ok(())

@@ -147,6 +147,8 @@ pub(super) struct People {
     at: Timestamp,
     /// The cameras' frame period.
     pub(super) period: Nanos,
+    /// By camera, the usual time between two frames; 0: not known.
+    pub(super) steps: Vec<Nanos>,
     /// Most bystanders at a time.
     pub(super) others: usize,
     pub(super) last: FrameSet,
@@ -165,6 +167,7 @@ impl People {
             reuses_numbers: false,
             at: Timestamp::default(),
             period: Nanos::ZERO,
+            steps: Vec::new(),
             others: 0,
             last: FrameSet::default(),
         }
@@ -373,7 +376,12 @@ impl People {
         let [doubtful, lost] = [DOUBTFUL, LOST].map(|time| self.at_least(time));
         let is_gone = |member: &mut Member| {
             let longest = match member.role {
-                Role::Candidate(_) => doubtful,
+                // Slow cameras have fewer frames.
+                Role::Candidate(_) => {
+                    let steps = member.person.cameras().filter_map(|c| self.steps.get(c));
+                    let slowest = steps.max().map_or(0.0, |step| step.ns() as f64);
+                    doubtful.max(Nanos::rounded(MIN_PERIODS * slowest)).min(lost)
+                }
                 Role::Performer(_) | Role::Bystander => lost,
             };
             member.person.unseen(at) > longest
@@ -397,7 +405,7 @@ impl People {
 impl Absent {
     /// A performer who is lost.
     fn new(performer: usize, person: Person) -> Self {
-        let (has_left, is_unwanted, is_elsewhere) = Default::default();
+        let [has_left, is_unwanted, is_elsewhere] = [false; 3];
         Self { performer, person, merged: None, has_left, is_unwanted, is_elsewhere }
     }
 

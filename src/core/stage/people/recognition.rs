@@ -1,6 +1,6 @@
 //! Candidates become performers: new ones, or those of before.
 
-use super::{Absent, Change, ELSEWHERE, Member, People, Role, Wish};
+use super::{Absent, Change, ELSEWHERE, LOST, Member, People, Role, Wish};
 use crate::core::stage::performer_id::PerformerId;
 use crate::core::stage::person::{Person, apart};
 use crate::core::time::{Nanos, Timestamp};
@@ -93,7 +93,10 @@ impl People {
                 }
                 Verdict::Known(place) => {
                     let Absent { performer, person: before, .. } = self.absent.remove(place);
-                    self.members[index].person.lengths.join(&before.lengths);
+                    let Member { person, was, .. } = &mut self.members[index];
+                    if *was != Some(performer) {
+                        person.was_before(&before);
+                    }
                     changes.push(Change::Returned(performer));
                     performer
                 }
@@ -150,7 +153,7 @@ impl People {
         performers.filter_map(|member| member.person.in_doubt()).any(|before| {
             let difference = before.lengths.difference(&candidate.lengths);
             difference.is_none_or(|difference| difference < EXPECTED_BODY)
-                && may_be_there(before, candidate, at)
+                && is_in_reach(before, candidate, at)
         })
     }
 
@@ -205,13 +208,15 @@ impl People {
 
     /// The performer who is expected in a place where it is not, and may be this candidate: no view shows both.
     fn elsewhere(&self, candidate: usize, at: Timestamp) -> Option<usize> {
-        let candidate = &self.members[candidate].person;
+        let Member { person: candidate, role, .. } = &self.members[candidate];
+        let is_bystander = matches!(role, Role::Bystander);
         let missed = (0..self.members.len()).filter(|&index| {
             let Member { person, role, .. } = &self.members[index];
             matches!(role, Role::Performer(_))
                 && !person.is_beside(candidate)
                 && person.unseen(at) > self.at_least(ELSEWHERE)
-                && may_be_there(person, candidate, at)
+                && !stood_by(is_bystander, candidate, person)
+                && is_in_reach(person, candidate, at)
         });
         let differences = missed.filter_map(|index| {
             let difference = self.members[index].person.lengths.difference(&candidate.lengths)?;
@@ -223,15 +228,18 @@ impl People {
     /// The place in `absent` of the performer who may be a candidate and is most alike, if any is, and how much they
     /// differ.
     fn most_alike(&self, candidate: usize, at: Timestamp) -> Option<(usize, f64)> {
-        let Member { person: candidate, was, .. } = &self.members[candidate];
+        let Member { person: candidate, was, role, .. } = &self.members[candidate];
+        let is_bystander = matches!(role, Role::Bystander);
         let is_somebody = |one: &Absent| self.members.iter().any(|m| m.was == Some(one.performer));
         let differences = self.absent.iter().enumerate().filter_map(|(place, one)| {
             if *was == Some(one.performer) {
                 return Some((place, 0.0));
             }
             let difference = one.person.lengths.difference(&candidate.lengths)?;
-            let is_possible =
-                !is_somebody(one) && one.may_be_there(candidate, at) && self.may_return(one);
+            let is_possible = !is_somebody(one)
+                && !stood_by(is_bystander, candidate, &one.person)
+                && one.may_be_there(candidate, at)
+                && self.may_return(one);
             is_possible.then_some((place, difference))
         });
         let alike = differences.filter(|(_, difference)| *difference < DOUBTFUL_BODY);
@@ -248,12 +256,17 @@ impl Absent {
 
     /// Whether the performer can have got to where a candidate is.
     fn may_be_there(&self, candidate: &Person, at: Timestamp) -> bool {
-        self.is_elsewhere || !self.person.was_here() || may_be_there(&self.person, candidate, at)
+        self.is_elsewhere || !self.person.was_here() || is_in_reach(&self.person, candidate, at)
     }
 }
 
+/// Whether a candidate was a bystander while the person was seen: then it is somebody else.
+fn stood_by(is_bystander: bool, candidate: &Person, person: &Person) -> bool {
+    is_bystander && person.sets > 0 && candidate.first + LOST < person.seen
+}
+
 /// Whether a person who was not seen for a while can have got to where the candidate is.
-fn may_be_there(person: &Person, candidate: &Person, at: Timestamp) -> bool {
+fn is_in_reach(person: &Person, candidate: &Person, at: Timestamp) -> bool {
     let reach = AWAY_M + AWAY_M_S * person.unseen(at).seconds().max(0.0);
     apart(person.points(), candidate.points()).is_some_and(|off| off < reach)
 }

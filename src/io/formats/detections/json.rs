@@ -89,9 +89,10 @@ pub(super) fn frames(file: &Value) -> Option<BTreeMap<u64, Vec<&Value>>> {
         // A list of frames: each is a list of people, or has them in a field.
         Value::Array(all) if all.iter().any(|one| holds_people(one) || is_list(one)) => {
             for (i, frame) in all.iter().enumerate() {
-                let mut fields = frame.as_object().into_iter().flatten();
-                let number = fields.find(|(name, _)| table::FRAME.contains(&&*table::plain(name)));
-                let number = number.and_then(|(_, number)| number.as_u64());
+                let numbers = frame.as_object().into_iter().flatten();
+                let mut numbers =
+                    numbers.filter(|(name, _)| table::FRAME.contains(&&*table::plain(name)));
+                let number = numbers.find_map(|(_, number)| number.as_u64());
                 frames.entry(number.unwrap_or(i as u64)).or_default().push(frame);
             }
         }

@@ -76,17 +76,7 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
         for (at, cell) in header.iter().enumerate() {
             let name = plain(cell);
             match FIELDS.iter().find(|(_, names)| names.contains(&&*name)) {
-                Some((field, names)) => {
-                    let rank = |at: usize| {
-                        let name = plain(header.get(at).unwrap_or_default());
-                        names.iter().position(|other| *other == name)
-                    };
-                    // A table of pandas has its index before the frame.
-                    let known = fields.entry(*field).or_insert(at);
-                    if rank(at) < rank(*known) {
-                        *known = at;
-                    }
-                }
+                Some((field, _)) => drop(fields.entry(*field).or_insert(at)),
                 None => {
                     if let Some((name, axis)) = point_column(cell.trim()) {
                         column(at, "", &name, axis);
@@ -115,23 +105,16 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
 }
 
 const TOP: [&str; 4] = ["scorer", "individuals", "bodyparts", "coords"];
-const FIELDS: [(&str, &[&str]); 3] = [
+const FIELDS: [(&str, &[&str]); 4] = [
     ("frame", FRAME),
+    // Of the rows, as pandas writes it.
+    ("index", &["index", "unnamed0", ""]),
     ("camera", &["camera", "cam", "view"]),
     ("person", &["person", "personid", "id", "trackid", "track"]),
 ];
-/// Names of the number of a frame, as [`plain`] has them; the last are of a table's index.
-pub(super) const FRAME: &[&str] = &[
-    "frame",
-    "framenumber",
-    "frameid",
-    "frameidx",
-    "frameindex",
-    "framenum",
-    "index",
-    "unnamed0",
-    "",
-];
+/// Names of the number of a frame, as [`plain`] has them.
+pub(super) const FRAME: &[&str] =
+    &["frame", "framenumber", "frameid", "frameidx", "frameindex", "framenum"];
 
 /// A field's name in lower case, without what separates its words.
 pub(super) fn plain(name: &str) -> String {
@@ -179,7 +162,7 @@ fn row(
         Ok(_) => None,
         Err(_) => super::frame_number(text),
     };
-    let number = cell("frame").map(of);
+    let number = cell("frame").or(cell("index")).map(of);
     let number = match number {
         Some(number) => number.ok_or("its frame number is no whole number from 0 on")?,
         None => i as u64 - 1,

@@ -16,7 +16,7 @@ const performers = take.performers.map((one, number) => ({
   tint: colour(numberOf(one.name, number)),
   seconds: numbers(one.seconds, Float32Array),
   states: numbers(one.states, Uint8Array),
-  roots: numbers(one.root_mm, Int16Array),
+  roots: numbers(one.root_mm, Int32Array),
   rotations: Float32Array.from(numbers(one.rotations, Int16Array), (x) => x / 32767),
   skin: { rest: metres(numbers(one.rest, Int16Array)), offsets: one.offsets },
 }));
