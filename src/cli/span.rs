@@ -41,20 +41,19 @@ impl SpanArguments {
         }
         // All frames with these timecodes are in.
         let half = |text: &String| match &of.house {
-            Some(house) if text.contains(':') => house.half_frame(),
-            _ => Nanos::ZERO,
+            Some(house) if text.contains(':') => house.half_frames(),
+            _ => [Nanos::ZERO; 2],
         };
         let at = |option: &str, text: &Option<String>, default: i64| match text {
             Some(text) => match of.time(text) {
                 Ok(time) => Ok((time, half(text))),
                 Err(reason) => Err(Failure::new(Exit::Usage, format!("{option} {text}: {reason}"))),
             },
-            None => Ok((Timestamp::from_ns(default), Nanos::ZERO)),
+            None => Ok((Timestamp::from_ns(default), [Nanos::ZERO; 2])),
         };
-        let (start, half) = at("--start", &self.start, i64::MIN)?;
-        let start = start - half;
-        let (end, half) = at("--end", &self.end, i64::MAX)?;
-        let end = end + half;
+        let (start, [before, _]) = at("--start", &self.start, i64::MIN)?;
+        let (end, [_, after]) = at("--end", &self.end, i64::MAX)?;
+        let (start, end) = (start - before, end + after);
         if start > end {
             return Err(Failure::new(Exit::Usage, "--end is before --start"));
         }

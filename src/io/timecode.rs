@@ -151,10 +151,11 @@ impl House {
         self.rate
     }
 
-    /// Half the time between two of its frames, rounded down. So far from its time a capture has a timecode.
-    pub fn half_frame(&self) -> Nanos {
+    /// How long before and after its time a capture has a timecode.
+    pub fn half_frames(&self) -> [Nanos; 2] {
         let (numerator, denominator) = self.rate.period();
-        Nanos::new(i64::try_from((numerator - 1) / (2 * denominator)).unwrap_or(i64::MAX))
+        [numerator, numerator - 1]
+            .map(|whole| Nanos::new(i64::try_from(whole / (2 * denominator)).unwrap_or(i64::MAX)))
     }
 
     /// The timecode of the frame nearest to a capture time.

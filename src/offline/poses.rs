@@ -41,7 +41,7 @@ pub(super) struct Comparisons {
     pub(super) truths: TruthComparisons,
     pub(super) held_out: Vec<HeldOut>,
     pub(super) references: Vec<ReferenceComparison>,
-    /// The newest frame of the first camera.
+    /// The newest frame of the camera whose frame numbers are those of the recording.
     pub(super) clock: Option<FrameClock>,
 }
 

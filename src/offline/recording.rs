@@ -12,11 +12,11 @@ use super::in_order::InOrder;
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{FramePeriod, FrameRate, RATE_FRAMES, UnitCheck};
 use crate::diagnose::WrongTimes;
 use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
-use crate::io::wire::{self, Topic};
+use crate::io::wire::{self, StageChannel, Topic};
 
 /// A recording with matching keypoints and rig. The file is opened once; its messages are streamed,
 /// so memory does not depend on its length.
@@ -26,6 +26,8 @@ pub struct Recording {
     messages: u64,
     /// Frames of the busiest camera.
     frames: u64,
+    /// Number of frames, by camera.
+    counts: BTreeMap<String, u64>,
     format: String,
     /// Whether the file is whole: then a camera without keypoints has none.
     is_whole: bool,
@@ -36,6 +38,9 @@ pub struct Recording {
     /// What is wrong with the capture times of cameras, by name; it is corrected.
     wrong_times: BTreeMap<String, Vec<WrongTimes>>,
 }
+
+/// A camera with this part of the frames of the fastest one is as fast.
+const MOSTLY: f64 = 0.8;
 
 /// A message of a recording.
 pub(crate) enum Item {
@@ -66,14 +71,32 @@ impl Recording {
         let rig = Arc::new(first_rig(path, &info)?);
         let messages = info.topics.values().map(|topic| topic.count).sum();
         let keypoints = wire::KeypointFrame::full_name();
-        let of_cameras = info.topics.values().filter(|topic| topic.schema == keypoints);
-        let frames = of_cameras.map(|topic| topic.count).max().unwrap_or(0);
+        let (mut frames, mut counts) = (0, BTreeMap::new());
+        for (name, topic) in info.topics.iter().filter(|(_, topic)| topic.schema == keypoints) {
+            frames = topic.count.max(frames);
+            if let Ok(Topic::Stage { channel: StageChannel::Keypoints { camera }, .. }) =
+                Topic::parse(name)
+            {
+                let count = counts.entry(camera.to_owned()).or_insert(0);
+                *count = topic.count.max(*count);
+            }
+        }
         let format = info.cameras.values().map(|camera| camera.format.clone()).next();
         let format = format.unwrap_or_default();
         let (is_whole, seen) = (info.report.is_clean(), info.cameras);
         let (span, wrong_times) = (None, BTreeMap::new());
-        let recording =
-            Self { reader, rig, messages, frames, format, is_whole, seen, span, wrong_times };
+        let recording = Self {
+            reader,
+            rig,
+            messages,
+            frames,
+            counts,
+            format,
+            is_whole,
+            seen,
+            span,
+            wrong_times,
+        };
         recording.check_cameras()?;
         Ok(recording)
     }
@@ -112,6 +135,20 @@ impl Recording {
     /// Number of frames of the busiest camera.
     pub fn frames(&self) -> u64 {
         self.frames
+    }
+
+    /// The first of the fastest cameras of `rig` whose times are not corrected: its frame numbers are those of the
+    /// recording.
+    pub(crate) fn clock_camera(&self, rig: &Rig) -> usize {
+        let is_right = |camera: &Camera| {
+            camera.time_offset == Nanos::ZERO && !self.wrong_times.contains_key(&camera.name)
+        };
+        let frames = |camera: &Camera| self.counts.get(&camera.name).copied().unwrap_or_default();
+        let right = || rig.cameras.iter().filter(|camera| is_right(camera));
+        let most = right().map(frames).max().unwrap_or_default();
+        let is_fast = |camera: &&Camera| frames(camera) as f64 > MOSTLY * most as f64;
+        let fast = right().find(is_fast).and_then(|camera| rig.index_of(&camera.name));
+        fast.unwrap_or(0)
     }
 
     /// Name of the keypoint format.

@@ -101,6 +101,7 @@ pub fn solve_group(
         file,
         evidence: check.as_mut().err(),
         offsets: rig.cameras.iter().map(|camera| camera.time_offset).collect(),
+        clock: recording.clock_camera(&rig),
     };
     let report = run.stream(&mut driver, recording, (&rig, &held_out), observer)?;
     let Run { mut collected, tracking, .. } = run;
@@ -264,6 +265,8 @@ struct Run<'file> {
     evidence: Option<&'file mut Evidence>,
     /// The time offsets of the cameras that are solved; the held-out ones follow.
     offsets: Vec<Nanos>,
+    /// The camera whose frame numbers are those of the recording.
+    clock: usize,
 }
 
 impl Run<'_> {
@@ -299,7 +302,7 @@ impl Run<'_> {
         for Collected { poses, comparisons, .. } in &mut self.collected {
             match &item {
                 Item::Detections(detections, _) => {
-                    if detections.camera == 0 {
+                    if detections.camera == self.clock {
                         comparisons.clock = Some(FrameClock::of(detections));
                     }
                     if poses.count == 0 {

@@ -693,6 +693,24 @@ fn a_reference_of_another_trial_is_noted() {
     assert!(notes.contains("note: the reference does not fit"), "{notes}");
 }
 
+/// The first camera is half as fast as the others, and counts its own frames.
+#[test]
+fn a_reference_has_the_frames_of_the_fast_cameras() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 240, |_| true);
+    place.done("solve walk.mcap --out whole");
+    place.done("export whole/poses.mcap --out walk.trc");
+    walk(&place.path("slow.mcap"), 240, |frame| {
+        let is_used = frame.camera > 0 || frame.frame % 2 == 0;
+        frame.frame /= if frame.camera == 0 { 2 } else { 1 };
+        is_used
+    });
+    let solve = "solve slow.mcap --out slow --reference walk.trc --json";
+    let figures: Value = serde_json::from_str(&place.done(solve)).unwrap();
+    assert!(number(&figures, "/reference/frames") > 230.0, "{}", figures["reference"]);
+    assert!(number(&figures, "/reference/mean_mm") < 10.0, "{}", figures["reference"]);
+}
+
 #[test]
 fn existing_outputs_are_kept_unless_told_otherwise() {
     let place = Place::new();

@@ -1050,11 +1050,11 @@ fn windows_wait_for_slow_detectors() {
 
 #[test]
 fn a_camera_with_a_fast_clock_is_left_out() {
-    // Whosever frame comes first.
-    for fast in [2, 0] {
+    // Whosever frame comes first, also long before the others.
+    for (fast, alone) in [(2, 0), (0, 0), (0, 120)] {
         let studio = Studio::new(4, 300);
         let mut messages = vec![studio.rig()];
-        for frame in &studio.frames {
+        for frame in studio.frames.iter().filter(|one| one.camera == fast || one.frame >= alone) {
             let arrival = frame.capture + NETWORK;
             let ahead = if frame.camera == fast { MS * 300 } else { Nanos::ZERO };
             let stamped = Detections { capture: frame.capture + ahead, ..frame.clone() };
@@ -1067,11 +1067,13 @@ fn a_camera_with_a_fast_clock_is_left_out() {
             assert!(!events.contains_key("late") && !events.contains_key("overdue"), "{events:?}");
         }
         let why = world.heard.details("clock_offset");
-        assert_eq!(why.len(), if fast > 0 { 1 } else { 2 }, "{why:?}");
+        assert!(fast == 0 || why.len() == 1, "{why:?}");
         assert!(why.last().unwrap().contains("0.300 s ahead of the other cameras'"), "{why:?}");
         for (index, camera) in status.cameras.iter().enumerate() {
             let is_used = index != fast;
-            assert_eq!((camera.used > 200, camera.waited_for), (is_used, is_used), "{fast}");
+            let case = format!("{fast} {alone} {camera:?}");
+            assert_eq!(camera.waited_for, is_used, "{case}");
+            assert!(!is_used || camera.used > 120, "{case}");
         }
         // The clock of the others is the node's.
         assert_eq!((&*status.clock, status.clock_offset_s), ("shared", 0.0));

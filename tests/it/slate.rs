@@ -213,7 +213,20 @@ fn a_take_that_waits_for_a_job_can_be_stopped() {
     let refused: Vec<bool> = said.iter().map(|(refused, _)| *refused).collect();
     assert_eq!(refused, [false, true, false], "{said:?}");
     assert_eq!(said[2].1, "actor: take a ended");
-    assert_agrees(&replayed(&recorded, Some("a")).unwrap());
+    let replay = replayed(&recorded, Some("a")).unwrap();
+    assert!(replay.is_whole);
+    assert_agrees(&replay);
+    // Without a name, too.
+    let slates = vec![
+        slate("start", "a", 0.5),
+        slate("start", "b", during_a_job),
+        slate("stop", "", during_a_job),
+    ];
+    let (world, recorded) = session(3, slates);
+    let said = answers(&world);
+    let refused: Vec<bool> = said.iter().map(|(refused, _)| *refused).collect();
+    assert_eq!(refused, [false, true, false], "{said:?}");
+    assert!(replayed(&recorded, Some("a")).unwrap().is_whole);
 }
 
 #[test]

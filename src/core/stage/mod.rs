@@ -532,7 +532,7 @@ fn of_tracker(input: Input) -> tracker::Input {
     match input {
         Input::Detections(frame) => tracker::Input::Detections(frame),
         Input::Rig(rig) => tracker::Input::Rig(rig),
-        Input::Restart(_) => tracker::Input::Restart,
+        Input::Restart(_) => tracker::Input::ClockStepped,
         Input::Tick(now) => tracker::Input::Tick(now),
         Input::End => tracker::Input::End,
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::event::EventKind;
-use super::job::{Placed, Task};
+use super::job::{Placed, PoseAt, Task};
 use super::mending::Mending;
 use super::port::Output;
 use super::state_machine::Tracker;
@@ -13,6 +13,8 @@ use crate::core::calibration::{Finding, News, Seen, limbs};
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 
+/// Poses that are farther apart tell little of the time between them.
+const LONGEST_STEP: Nanos = Nanos::from_ms(250);
 /// One of several performers: how long frames are kept to watch the cameras with.
 const KEPT: Nanos = Nanos::from_ms(2000);
 
@@ -54,10 +56,15 @@ impl Tracker {
         let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.output_grid()) else {
             return;
         };
+        // With the pose before: slow outputs have few in a window.
+        let period = Nanos::rounded(1.5 * grid.period_ns).min(LONGEST_STEP);
+        let is_next = |(at, _): &&PoseAt| (Nanos::ZERO..period).contains(&(window.start - *at));
+        let before = self.playout.last_final().filter(is_next).cloned();
+        let own = grid.between(window.start, window.publish).zip(poses.iter().cloned());
+        let (times, poses): (Vec<Timestamp>, Vec<Pose>) = before.into_iter().chain(own).unzip();
         if !is_on || poses.len() < 2 {
             return;
         }
-        let times: Vec<Timestamp> = grid.between(window.start, window.publish).collect();
         let frames = self.frames_to_watch(window);
         for frame in &frames {
             let after = times.partition_point(|time| *time < frame.capture);

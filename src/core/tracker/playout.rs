@@ -87,8 +87,8 @@ impl Latency {
 pub(super) struct Playout {
     /// The capture time of the last final pose that was published.
     published: Option<Timestamp>,
-    /// All poses up to this time were skipped, if they had not been published.
-    skipped: Option<Timestamp>,
+    /// The first and the last time of the poses that were skipped last.
+    skipped: Option<[Timestamp; 2]>,
     /// The known final poses, published or not.
     finals: Published,
     /// The published final poses.
@@ -106,6 +106,11 @@ pub(super) struct Playout {
 }
 
 impl Playout {
+    /// The last final pose, published or not, and its time.
+    pub(super) fn last_final(&self) -> Option<&PoseAt> {
+        self.finals.last()
+    }
+
     /// Whether the final pose of a time replaces a provisional one. Call it once for each time, in
     /// order of time.
     fn supersedes(&mut self, capture: Timestamp) -> bool {
@@ -179,9 +184,10 @@ impl Tracker {
             let grid = self.output_grid();
             if is_due || grid.is_some_and(|grid| self.playout.is_published(capture, &grid)) {
                 // A window's poses have been published before if the look-ahead is shorter. Skipped ones are counted.
+                let is_counted = |[first, last]: [Timestamp; 2]| (first..=last).contains(&capture);
                 let is_shown = self.playout.published.is_some()
                     && !self.is_resuming()
-                    && self.playout.skipped < Some(capture);
+                    && !self.playout.skipped.is_some_and(is_counted);
                 self.playout.missed += u64::from(latency.look_ahead.is_none() && is_shown);
                 return;
             }
@@ -331,6 +337,6 @@ impl Tracker {
         let detail = "too far behind, skipped".to_owned();
         self.counted_event(EventKind::Overdue, capture, None, skipped, detail);
         self.playout.missed += skipped;
-        (self.playout.published, self.playout.skipped) = (Some(until), Some(until));
+        (self.playout.published, self.playout.skipped) = (Some(until), Some([capture, until]));
     }
 }

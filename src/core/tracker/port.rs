@@ -23,9 +23,10 @@ pub enum Input {
     /// A new calibration. With the same cameras it is used from the next window on; with other
     /// cameras the tracker restarts.
     Rig(Arc<Rig>),
-    /// The capture clock jumped: the tracker forgets all frames and searches again. It keeps the
-    /// body.
+    /// The tracker forgets all frames and searches again. It keeps the body.
     Restart,
+    /// As `Restart`, after a step of the capture clock.
+    ClockStepped,
     /// As `Restart`, but the body is forgotten too: the performer may be somebody else.
     Forget,
     /// The solution of the solver's job.

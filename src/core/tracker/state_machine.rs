@@ -351,6 +351,9 @@ impl Tracker {
             Input::Restart => {
                 self.restart();
                 self.idle.clock_jumped();
+            }
+            Input::ClockStepped => {
+                self.handle(Input::Restart);
                 self.offsets.clock_jumped();
                 self.watchdog.clock_jumped();
             }

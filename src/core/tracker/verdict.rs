@@ -1,7 +1,7 @@
 //! The verdict on a window: whether enough was seen, and the quality of the fit.
 
 use super::config::Gate;
-use super::job::{Job, Verdict};
+use super::job::{Job, Task, Verdict};
 use super::noise::Residual;
 use crate::core::body::{BodyPoint, Pose, Skeleton};
 use crate::core::camera::Rig;
@@ -11,7 +11,7 @@ use crate::core::points::{extent, median};
 
 /// A view counts if it shows this many points per frame.
 const MIN_VIEW: usize = 4;
-/// A camera without frames after the first part of the window, one in this many, has stopped.
+/// A camera without frames after the first part of a whole window, one in this many, has stopped.
 const STOPPED: i64 = 4;
 
 /// The reason why too little was seen to solve the window; `None` if enough was seen.
@@ -20,10 +20,11 @@ pub(super) fn hidden(gate: &Gate, job: &Job, observations: &[FrameObservations])
     // stopped early is no view.
     let mut views = vec![(0, 0); job.rig.cameras.len()];
     let mut goes_on = vec![false; views.len()];
+    let is_open = matches!(job.task, Task::Provisional { .. });
     let early = job.start + (job.end - job.start) / STOPPED;
     for frame in job.used_frames() {
         views[frame.camera].0 += 1;
-        goes_on[frame.camera] |= frame.capture > early;
+        goes_on[frame.camera] |= is_open || frame.capture > early;
     }
     let all = observations.iter().flat_map(|frame| frame.observations());
     all.filter(|seen| goes_on[seen.camera]).for_each(|seen| views[seen.camera].1 += 1);

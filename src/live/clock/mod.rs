@@ -119,17 +119,15 @@ impl Clock {
         Arrival::Used
     }
 
-    /// Once, after a while: if most cameras have a common clock, leaves out those whose clocks are ahead of it. Returns
-    /// whether there are any, when a frame of another camera comes.
+    /// Once, when three cameras have sent for a while: if most have a common clock, leaves out those whose clocks are ahead
+    /// of it. Returns whether there are any, when a frame of another camera comes.
     fn leave_out_ahead(&mut self, camera: usize) -> bool {
-        let levels: Vec<Nanos> = self.levels().collect();
-        let Some(middle) = median(levels.iter().copied()).filter(|_| !self.is_settled) else {
-            return false;
-        };
+        let count = if self.is_settled { 0 } else { self.levels().count() };
+        let Some(middle) = median(self.levels()).filter(|_| count > 2) else { return false };
         let base = Base::of(middle);
-        let is_sure = base.is_common() && levels.len() > 2;
-        let is_ahead =
-            |level: Nanos| is_sure && level < base.value() - AHEAD && level < middle - STEP;
+        let is_ahead = |level: Nanos| {
+            base.is_common() && level < base.value() - AHEAD && level < middle - STEP
+        };
         if self.cameras[camera].level().is_some_and(is_ahead) {
             return false;
         }
@@ -139,7 +137,7 @@ impl Clock {
                 one.leave_out(LeftOut::Clock(level - middle));
             }
         }
-        let is_new = self.levels().count() < levels.len();
+        let is_new = self.levels().count() < count;
         if is_new {
             self.base = self.levels().min().map(Base::of).or(self.base);
         }
@@ -208,7 +206,8 @@ impl Clock {
         }
         let own = &mut self.cameras[camera];
         if count < SURE {
-            return if is_far { Arrival::Refused } else { Arrival::Used };
+            let is_used = !is_far && own.left_out.is_none();
+            return if is_used { Arrival::Used } else { Arrival::Refused };
         }
         own.left_out = Some(LeftOut::Clock(by));
         Arrival::Refused

@@ -211,18 +211,30 @@ fn start_of(parts: &BTreeMap<u64, Journal>) -> Option<&JournalStart> {
 /// Whether the run of that take, or of none, ends in these entries: with the node, or because a take
 /// ended or began. A take that waits to begin may be stopped before.
 fn is_whole(entries: &[JournalEntry], running: &str) -> bool {
-    let mut is_whole = false;
+    let mut waiting: Option<String> = None;
     for entry in entries {
         match &entry.input {
             Some(Entry::End(_)) => return true,
             Some(Entry::Message(message)) => {
                 let Some(take) = slate(message) else { continue };
-                is_whole = ends(&take, running) || is_whole && take.action != "stop";
+                let is_stop = take.action == "stop";
+                if is_stop
+                    && waiting.take_if(|one| take.name.is_empty() || *one == take.name).is_some()
+                    && (running.is_empty() || !take.name.is_empty() && take.name != running)
+                {
+                    continue;
+                }
+                if ends(&take, running) {
+                    if is_stop {
+                        return true;
+                    }
+                    waiting = Some(take.name);
+                }
             }
             _ => {}
         }
     }
-    is_whole
+    waiting.is_some()
 }
 
 fn slate(JournalMessage { topic, payload, .. }: &JournalMessage) -> Option<Take> {

@@ -71,7 +71,7 @@ export class Store {
   /** `node`: the name whose status is that of the live node. `recorded`: that of a recording. Other statuses repeat the cameras. */
   constructor(decoder, node, recorded) {
     this.decoder = decoder;
-    this.node = node;
+    this.node = this.guess = node;
     this.judged = node ?? recorded;
     this.jump = node === undefined ? Infinity : JUMP;
     this.base = undefined;
@@ -168,8 +168,9 @@ export class Store {
   }
 
   takeStage(stage) {
-    // On another computer the node's name is a guess until it says so.
-    if (this.node !== undefined && stage.node && !this.statusOf.has(this.node)) this.node = this.judged = stage.node;
+    // On another computer the node's name is a guess.
+    const isOpen = [this.guess, this.node].every((name) => !this.statusOf.has(name));
+    if (this.node !== undefined && stage.node && isOpen) this.node = this.judged = stage.node;
     if (this.node === undefined || stage.node === this.node) this.stage = stage;
   }
 
@@ -216,13 +217,14 @@ export class Store {
           for (const all of [poses, provisional, points]) all.clear();
         }
       }
-      series.add(seconds, item, this.jump);
+      series.add(seconds, item);
     }
   }
 
   /** The state of a performer, or of the node, which has the cameras. */
   takeStatus(name, status, arrival) {
     this.statusOf.set(name, status);
+    if (name === this.guess) this.node = this.judged = name;
     if (status.cameras.length === 0 || name !== this.judged) return;
     this.statusCame = performance.now();
     this.apart = Math.min(this.apart, Math.abs(Date.now() - Number(status.node_time_ns ?? 0n) / 1e6));

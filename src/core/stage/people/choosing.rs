@@ -37,7 +37,8 @@ impl People {
         }
         if !self.has_place() {
             // Who was merged with another performer may be nobody.
-            let merged = self.absent.iter_mut().find(|one| one.merged.is_some() && !one.has_left);
+            let is_merged = |one: &&mut Absent| one.merged.is_some() && one.keeps_place();
+            let merged = self.absent.iter_mut().find(is_merged);
             merged.ok_or(FollowError::Full(self.limit))?.has_left = true;
         }
         self.members[nearest].wish = Wish::Wanted;

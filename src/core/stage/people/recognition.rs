@@ -88,6 +88,11 @@ impl People {
             let performer = match self.judge(index, at) {
                 Verdict::Unsure => continue,
                 Verdict::Known(place) if self.is_unwanted(index, place) => {
+                    let Member { person, was, .. } = &mut self.members[index];
+                    let Absent { performer, person: before, .. } = &self.absent[place];
+                    if *was != Some(*performer) {
+                        person.was_before(before);
+                    }
                     self.make_bystander(index, place);
                     continue;
                 }
@@ -249,7 +254,7 @@ impl People {
 
 impl Absent {
     /// Whether nobody else may have the place.
-    fn keeps_place(&self) -> bool {
+    pub(super) fn keeps_place(&self) -> bool {
         let is_one = || self.person.seen - self.person.first > FOLLOWED;
         !self.has_left && (self.merged.is_none() || is_one())
     }

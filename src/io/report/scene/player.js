@@ -33,7 +33,9 @@ for (const camera of take.rig.cameras) camera.lens = camera.lens === "fisheye" ?
 view.setRig(take.rig);
 view.setTemplate(template);
 
-let [time, playing, last, framed] = [0, false, performance.now(), false];
+// At the first pose, which may be later than the first frame of the take.
+const first = Math.min(...performers.map(({ seconds }) => seconds[0] ?? end));
+let [time, playing, last, framed] = [first, false, performance.now(), false];
 /** The ends of the stretch that is repeated, as far as they are set. */
 let loop;
 const speed = $("speed");
@@ -95,7 +97,7 @@ function goToHash() {
 
 function play() {
   playing = !playing;
-  if (playing && time >= end) time = 0;
+  if (playing && time >= end) time = first;
 }
 
 function go(to) {
