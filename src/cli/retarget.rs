@@ -8,7 +8,7 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
-use super::export::{Solved, first_pose, near, on_grid, path_of, read};
+use super::export::{Solved, file_start, first_pose, frame_from, path_of, read};
 use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, is_same_file};
 use super::retarget_file::{TargetFile, Written};
@@ -34,9 +34,9 @@ MotionBuilder, Unity, Daz, Unreal, Biped and this program are known; a TOML file
 
 Live poses are published on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C or SIGTERM. With
 --out they are written meanwhile, to a hidden .part file that is then renamed. Several performers have
-a file each: take1.p1.bvh, take1.p2.bvh. --actor chooses one. All files of a recording begin at its
-first frame, those of live poses at the first pose of all; before a performer's first pose they
-repeat it. Who comes more than ten minutes later has a file that begins with the own first pose.
+a file each: take1.p1.bvh, take1.p2.bvh. --actor chooses one. All files begin at one time: the first
+frame of the recording, or live the first pose of anybody. Until a performer's first pose, the file
+repeats that pose. If the first pose comes more than ten minutes later, the file begins with it.
 
 Examples:
   bundlemocap retarget --skeleton robot.bvh
@@ -113,7 +113,8 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
         arguments.overwrite.check(&path_of(out, several.then_some(actor)))?;
     }
     let take = Times::of(from, None)?.first;
-    let start = first_pose(&performers).map_or(take, |pose| on_grid(pose, near(pose.0, take)));
+    let start =
+        first_pose(&performers).map_or(take, |pose| frame_from(pose, file_start(pose.0, take)));
     for one in &performers {
         write(retarget, one, &path_of(out, several.then_some(&one.actor)), start)?;
     }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use prost::Name;
 
 use super::clock::{ATTENTION, Stop};
-use super::export::near;
+use super::export::file_start;
 use super::failure::Failure;
 use super::retarget_file::TargetFile;
 use super::terminal::complain;
@@ -155,7 +155,7 @@ impl<'a> Live<'a> {
         let message = figure.message(&wire, retarget.target());
         let encoding = media_type(&RetargetedPose::full_name());
         if let Some(path) = path {
-            let new = || TargetFile::new(path, None, near(capture, first));
+            let new = || TargetFile::new(path, None, file_start(capture, first));
             let file = file.get_or_insert_with(new);
             file.add(capture, &figure, retarget)?;
         }

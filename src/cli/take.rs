@@ -10,8 +10,7 @@ use super::clock::ATTENTION;
 use super::failure::{Exit, Failure};
 use super::terminal::{complain, say};
 use crate::cli::tools::inbox::Inbox;
-use crate::core::time::Timestamp;
-use crate::io::bus::{Bus, Publisher};
+use crate::io::bus::{Bus, CommandPublisher};
 use crate::io::wire::{Schema, Take, TakeAnswer, Topics, decode, encode, media_type};
 use crate::live::WallClock;
 
@@ -255,32 +254,25 @@ fn answered(slate: &mut Slate, take: Take, roles: &[&str]) -> Result<Vec<TakeAns
 /// Publishes commands and hears the answers.
 pub(super) struct Slate {
     inbox: Inbox,
-    publisher: Box<dyn Publisher>,
-    topic: String,
-    sent: Option<Instant>,
+    commands: CommandPublisher,
 }
 
 impl Slate {
     pub(super) fn open(bus: &dyn Bus, topics: &Topics) -> Result<Self, Failure> {
         let inbox = Inbox::open(bus, &topics.take_answers())?;
-        let topic = topics.take();
-        Ok(Self { inbox, publisher: bus.publisher(&topic)?, topic, sent: None })
+        Ok(Self { inbox, commands: CommandPublisher::open(bus, topics.take())? })
     }
 
-    /// Later, nobody who joins is to get the last command: the bus keeps it as long as its publisher lives.
-    pub(super) fn forget_sent(&mut self, bus: &dyn Bus) -> Result<(), Failure> {
-        if self.sent.take_if(|sent| sent.elapsed() > PATIENCE).is_some() {
-            self.publisher = bus.publisher(&self.topic)?;
-        }
-        Ok(())
+    /// Who joins later does not get the last command. Call it now and then.
+    pub(super) fn forget_old(&mut self, bus: &dyn Bus) -> Result<(), Failure> {
+        Ok(self.commands.forget_old(bus)?)
     }
 
     /// Publishes a command under a new id; returns it with this id.
     pub(super) fn send(&mut self, take: Take) -> Result<Take, Failure> {
         let take = Take { id: WallClock::start().now().ns().unsigned_abs(), ..take };
         let kind = media_type(Take::FULL_NAME);
-        self.publisher.put(Timestamp::default(), &kind, &encode(&take))?;
-        self.sent = Some(Instant::now());
+        self.commands.put(&kind, &encode(&take))?;
         Ok(take)
     }
 

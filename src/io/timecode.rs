@@ -151,7 +151,7 @@ impl House {
         self.rate
     }
 
-    /// How long before and after its time a capture has a timecode.
+    /// How long before and after the time of a timecode's frame captures have this timecode: half a frame.
     pub fn half_frames(&self) -> [Nanos; 2] {
         let (numerator, denominator) = self.rate.period();
         [numerator, numerator - 1]

@@ -8,7 +8,7 @@ use crate::core::detections::Keypoint;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Residual, Unfollowed, Verdict, WindowReport};
 
-/// An episode ends after a longer time in which its point is followed, and after more frame periods.
+/// An episode ends if its point is followed for longer than this time, and than this many frame periods.
 const BREAK: Nanos = Nanos::from_ms(60);
 const BREAK_FRAMES: f64 = 1.5;
 /// Number of the longest episodes that are kept.

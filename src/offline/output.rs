@@ -286,12 +286,10 @@ fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<Moment> {
         moment(at, MomentKind::NotFollowed, *frames as f64, what)
     });
     let all = windows.series.bins();
-    let runs = all.chunk_by(|a, b| a.lost == b.lost).filter(|run| run[0].lost);
-    let runs: Vec<&[WindowSummary]> = runs.collect();
-    let lost = runs.iter().map(|run| {
+    let runs: Vec<&[WindowSummary]> = all.chunk_by(|a, b| a.lost == b.lost).collect();
+    let lost = runs.iter().enumerate().filter(|(_, run)| run[0].lost).map(|(k, run)| {
         // While somebody is searched there are no windows.
-        let next = all.iter().find(|window| window.start > run[run.len() - 1].start);
-        let end = next.map_or(run[run.len() - 1].end, |next| next.start);
+        let end = runs.get(k + 1).map_or(run[run.len() - 1].end, |next| next[0].start);
         let seconds = end.seconds_since(run[0].start);
         let what = format!("lost or extrapolated for {seconds:.2} s");
         moment(run[0].start, MomentKind::Lost, seconds, what)

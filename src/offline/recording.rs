@@ -39,7 +39,7 @@ pub struct Recording {
     wrong_times: BTreeMap<String, Vec<WrongTimes>>,
 }
 
-/// A camera with this part of the frames of the fastest one is as fast.
+/// A camera with more than this part of the fastest one's frames is as fast.
 const MOSTLY: f64 = 0.8;
 
 /// A message of a recording.
@@ -365,7 +365,7 @@ impl Recording {
     }
 }
 
-/// Scores of some detectors are a little above 1.
+/// Higher confidences are in per cent. Scores of some detectors are a little above 1.
 const HIGHEST: f32 = 1.5;
 
 /// The number of points of a frame whose confidence is far above 1, as if in per cent.

@@ -14,7 +14,7 @@ use tokio::time::{interval, sleep, timeout};
 use super::frame;
 use super::points::Points;
 use crate::core::time::Timestamp;
-use crate::io::bus::{Bus, BusError, Guard, Publisher, Receiver, Sample, check_pattern};
+use crate::io::bus::{Bus, BusError, CommandPublisher, Guard, Receiver, Sample, check_pattern};
 use crate::io::wire::{Schema, Take, Topics, encode, media_type, valid_name};
 use crate::live::WallClock;
 
@@ -28,8 +28,6 @@ const PING: Duration = Duration::from_secs(5);
 const GONE: Duration = Duration::from_secs(15);
 /// How often a page is told who receives what.
 const RECEIVERS: Duration = Duration::from_secs(2);
-/// A command of a page is kept for those who join for so long.
-const ANSWERED: Duration = Duration::from_secs(4);
 /// Most pages at a time.
 static PAGES: Semaphore = Semaphore::const_new(32);
 
@@ -236,8 +234,7 @@ fn try_orders(
 ) -> Result<(), BusError> {
     let bus = live.open()?;
     // It is there before the first command, so that nodes and recorders know it.
-    let mut slate: Box<dyn Publisher> = bus.publisher(&live.topics.take())?;
-    let mut asked: Option<Instant> = None;
+    let mut commands = CommandPublisher::open(&*bus, live.topics.take())?;
     let clock = WallClock::start();
     let mut guards: Vec<(String, Box<dyn Guard>)> = Vec::new();
     drop(out.blocking_send(Outgoing::Open));
@@ -257,18 +254,14 @@ fn try_orders(
                     Err(error) => tracing::debug!("who receives is not known: {error}"),
                 }
                 next = Instant::now() + RECEIVERS;
-                // Who joins later is not to get the last command.
-                if asked.take_if(|asked| asked.elapsed() > ANSWERED).is_some() {
-                    slate = bus.publisher(&live.topics.take())?;
-                }
+                commands.forget_old(&*bus)?;
                 continue;
             }
             Ok(Order::Topics(patterns)) => patterns,
             Ok(Order::Take(order)) => {
                 if let Some(take) = order.take() {
                     let kind = media_type(Take::FULL_NAME);
-                    slate.put(Timestamp::default(), &kind, &encode(&take))?;
-                    asked = Some(Instant::now());
+                    commands.put(&kind, &encode(&take))?;
                 }
                 continue;
             }

@@ -3,16 +3,18 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use bundlemocap::config::Config;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::stage::{self, Known};
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{known_people, write_body};
 use bundlemocap::io::wire::{
-    self, ActorChannel, Event, Pose, Topic, Topics, TrackingState, decode,
+    self, ActorChannel, Event, PlayoutCounters, Pose, Status, Topic, Topics, TrackingState, decode,
+    encode,
 };
 use bundlemocap::live::{Input, Recorded};
 
-use crate::live::{Sent, World, at};
+use crate::live::{START, Sent, World, at, performers};
 use crate::several::Stage;
 use crate::slate::{assert_agrees, replayed_as, slate};
 
@@ -525,4 +527,35 @@ fn known_bodies_are_those_of_the_front() {
         let first = poses.map(|(time, _)| time).min().unwrap();
         assert!(first < at(0.9), "{} is published {first:?}", one.name);
     }
+}
+
+/// A solver is cut off for 2 s. The front counts what it has done once.
+#[test]
+fn a_solver_that_comes_back_is_not_counted_again() {
+    let mut config = Config::default();
+    config.stage.performers = "auto".parse().unwrap();
+    config.stage.solve = false;
+    let studio = performers(2, |one| {
+        (one.fps, one.frames, one.start) = (60.0, 480, START);
+    });
+    let topic = Topics { actor: "a".into(), ..Topics::default() }.status();
+    let status = |published: u64, seconds: f64| {
+        let playout = Some(PlayoutCounters { published, ..PlayoutCounters::default() });
+        let payload = encode(&Status { run_id: 7, playout, ..Status::default() });
+        Sent { arrival: at(seconds), topic: topic.clone(), payload }
+    };
+    let mut sent = studio.messages();
+    sent.extend([status(10, 3.0), status(15, 6.0)]);
+    let mut world = World::new(&config);
+    let solver = || vec!["a".to_owned()];
+    for (solvers, until) in [(solver(), 3.5), (Vec::new(), 5.5), (solver(), 8.0)] {
+        world.tell(Input::Solvers(solvers));
+        let (now, later) = sent.into_iter().partition(|one: &Sent| one.arrival <= at(until));
+        world.play(now, at(until));
+        sent = later;
+    }
+    let counted = world.heard.of::<Status>(&Topics::default().status());
+    let counted: BTreeSet<u64> =
+        counted.into_iter().map(|(_, status)| status.playout.unwrap().published).collect();
+    assert_eq!(counted.into_iter().collect::<Vec<_>>(), [0, 10, 15]);
 }

@@ -202,31 +202,21 @@ fn a_take_that_waits_for_a_job_can_be_stopped() {
     assert!(tracked.count() > 140);
     assert_agrees(&replayed(&recorded, None).unwrap());
 
-    // A second start of the running take: both are meant.
-    let slates = vec![
-        slate("start", "a", 0.5),
-        slate("start", "a", during_a_job),
-        slate("stop", "a", during_a_job),
-    ];
-    let (world, recorded) = session(3, slates);
-    let said = answers(&world);
-    let refused: Vec<bool> = said.iter().map(|(refused, _)| *refused).collect();
-    assert_eq!(refused, [false, true, false], "{said:?}");
-    assert_eq!(said[2].1, "actor: take a ended");
-    let replay = replayed(&recorded, Some("a")).unwrap();
-    assert!(replay.is_whole);
-    assert_agrees(&replay);
-    // Without a name, too.
-    let slates = vec![
-        slate("start", "a", 0.5),
-        slate("start", "b", during_a_job),
-        slate("stop", "", during_a_job),
-    ];
-    let (world, recorded) = session(3, slates);
-    let said = answers(&world);
-    let refused: Vec<bool> = said.iter().map(|(refused, _)| *refused).collect();
-    assert_eq!(refused, [false, true, false], "{said:?}");
-    assert!(replayed(&recorded, Some("a")).unwrap().is_whole);
+    // Take a runs and another one waits: a stop without a name, or of a take that has the same name, ends both.
+    for (waiting, stopped) in [("a", "a"), ("b", "")] {
+        let slates = vec![
+            slate("start", "a", 0.5),
+            slate("start", waiting, during_a_job),
+            slate("stop", stopped, during_a_job),
+        ];
+        let (world, recorded) = session(3, slates);
+        let said = answers(&world);
+        let refused: Vec<bool> = said.iter().map(|(refused, _)| *refused).collect();
+        assert_eq!((refused, &*said[2].1), (vec![false, true, false], "actor: take a ended"));
+        let replay = replayed(&recorded, Some("a")).unwrap();
+        assert!(replay.is_whole);
+        assert_agrees(&replay);
+    }
 }
 
 #[test]

@@ -664,7 +664,7 @@ fn who_is_away_when_the_clock_or_the_world_changes_is_known_again() {
                 is_changed = true;
                 inputs.push(match &new_rig {
                     Some(rig) => stage::Input::Rig(Arc::clone(rig)),
-                    None => stage::Input::Restart(step),
+                    None => stage::Input::ClockJumped(step),
                 });
             }
             frame.capture = frame.capture + hour + if is_after { step } else { Nanos::ZERO };

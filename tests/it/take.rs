@@ -281,9 +281,9 @@ fn takes_are_begun_rated_and_ended_by_osc() {
     assert!(studio.folder.path().join("takes/walk_01_2.mcap").exists());
     let rated = std::fs::read_to_string(studio.folder.path().join("takes/takes.csv")).unwrap();
     assert!(rated.contains("walk_01_2") && rated.contains("good"), "{rated}");
-    send("/take/mark", &[OscType::String("bad".into())]);
-    answered(&["recorder"]);
-    // Who joins later does not get the last command.
+    send("/RecordStart", &[OscType::String("run".into()), OscType::Int(3)]);
+    answered(&["node", "recorder"]);
+    // A recorder that joins later does not get the last command.
     std::thread::sleep(Duration::from_secs(5));
     let mut late = Program::start(&mut studio.command("record late/"));
     assert!(late.has_said("recording takes of "));
@@ -291,9 +291,11 @@ fn takes_are_begun_rated_and_ended_by_osc() {
     late.signal("INT");
     assert_eq!(late.ended().code, Some(0));
     assert_eq!(std::fs::read_dir(studio.folder.path().join("late")).unwrap().count(), 0);
+    send("/take/stop", &[]);
+    answered(&["node", "recorder"]);
     bridge.signal("INT");
     let ended = bridge.ended();
     assert_eq!(ended.code, Some(0), "{}", ended.errors);
     let last = ended.said.lines().last().unwrap_or_default();
-    assert_eq!(last, "4 commands, 6 answers, 1 messages that are no command");
+    assert_eq!(last, "5 commands, 9 answers, 1 messages that are no command");
 }

@@ -79,7 +79,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             Err(error) => return Err(unusable(error)),
         }
         bridge.send_answers();
-        bridge.slate.forget_sent(&*bus)?;
+        bridge.slate.forget_old(&*bus)?;
     }
     say(&bridge.count.to_string());
     Ok(Exit::Done)

@@ -214,7 +214,7 @@ fn cut(
 ) -> Result<Timestamp, Failure> {
     let Some((first, fps)) = first_pose(performers) else { return Ok(Timestamp::default()) };
     times.rate = Some(fps);
-    let mut wanted = near(first, times.first);
+    let mut wanted = file_start(first, times.first);
     if let Some([from, to]) = arguments.span.within(times)? {
         let slack = Nanos::rounded(ON_FRAME / fps * 1e9);
         for one in performers.iter_mut() {
@@ -223,7 +223,7 @@ fn cut(
         }
         wanted = wanted.max(from);
     }
-    let start = on_grid((first, fps), wanted);
+    let start = frame_from((first, fps), wanted);
     for one in performers.iter_mut() {
         let poses = std::mem::take(&mut one.poses);
         (one.poses, one.fps) = arguments.options.apply(poses, start, one.fps);
@@ -247,14 +247,14 @@ pub(super) fn first_pose(performers: &[Motion]) -> Option<(Timestamp, f64)> {
     performers.iter().filter_map(poses).min_by_key(|one| one.0)
 }
 
-/// The `start` of a take if it is not too long before the first pose, else that pose.
-pub(super) fn near(first: Timestamp, start: Timestamp) -> Timestamp {
-    let is_near = (-LONGEST_LEAD_S..0.0).contains(&start.seconds_since(first));
-    if is_near { start } else { first }
+/// When a file begins whose first pose is at `first`: at the take's first frame, unless that is too long before.
+pub(super) fn file_start(first: Timestamp, take: Timestamp) -> Timestamp {
+    let is_near = (-LONGEST_LEAD_S..0.0).contains(&take.seconds_since(first));
+    if is_near { take } else { first }
 }
 
-/// The first time from `start` on that is a number of frames from the first pose, which has that frame rate.
-pub(super) fn on_grid((first, fps): (Timestamp, f64), start: Timestamp) -> Timestamp {
+/// The first frame at `start` or later, whole frames from the pose at `first`. `fps` is in hertz.
+pub(super) fn frame_from((first, fps): (Timestamp, f64), start: Timestamp) -> Timestamp {
     let frames = (start.seconds_since(first) * fps - ON_FRAME).ceil();
     first + Nanos::rounded(frames / fps * 1e9)
 }

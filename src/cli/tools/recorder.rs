@@ -94,7 +94,7 @@ pub(crate) struct Recorder {
     folder: PathBuf,
     all: Option<Open>,
     take: Option<Running>,
-    /// Name of the take that runs, or of the last one, and of its file without the ending.
+    /// The running take, or the last one: its name, and the name of its file without the ending.
     last: Option<(String, String)>,
     ending: Vec<Ending>,
     /// Messages on topics above the limit, of all complete takes.
@@ -234,7 +234,7 @@ impl Recorder {
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let mut file = Open { path, writer, recorded: Recorded::default() };
         let begin = now - MARGIN;
-        // It came before the take begins.
+        // It may have come long before the take.
         let rig = self.rig.clone().map(|rig| RawEntry { log_time: begin, ..rig });
         for entry in rig.iter().chain(self.recent.iter().filter(|entry| entry.log_time >= begin)) {
             file.write(entry)?;

@@ -64,7 +64,7 @@ impl LiveOffsets {
         }
     }
 
-    /// The clock of the cameras has stepped.
+    /// The capture clock has jumped: times of before are forgotten.
     pub fn clock_jumped(&mut self) {
         self.tracks = Tracks::new(self.corrections.len());
     }

@@ -138,7 +138,7 @@ impl Watchdog {
         self.cameras.get(camera).is_some_and(|camera| camera.is_left_out)
     }
 
-    /// The clock of the cameras has stepped.
+    /// The capture clock has jumped: times of before are forgotten.
     pub fn clock_jumped(&mut self) {
         self.until = None;
         self.cameras.iter_mut().for_each(|camera| camera.open.clear());

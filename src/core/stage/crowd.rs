@@ -148,12 +148,12 @@ impl Crowd {
         &self.rig
     }
 
-    /// Forgets the frames; all performers are lost until they are seen again. Capture times are so much later from here
+    /// Forgets the frames; all performers are lost until they are seen again. Capture times are later by `by` from here
     /// on.
-    pub fn restart(&mut self, step: Nanos) {
+    pub fn restart(&mut self, by: Nanos) {
         let before = self.sets.clear(self.rig.cameras.len());
         self.sets.intake().count_on_from(&before);
-        self.people.restart(step);
+        self.people.restart(by);
     }
 
     /// The same for other cameras, or for these in another world.

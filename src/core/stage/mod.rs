@@ -64,8 +64,8 @@ pub enum Input {
     Detections(Detections),
     /// A new calibration, as for a [`Tracker`].
     Rig(Arc<Rig>),
-    /// The capture clock jumped, as for a [`Tracker`]: capture times are so much later from here on.
-    Restart(Nanos),
+    /// The capture clock jumped: capture times are so much later from here on. Everybody is searched again.
+    ClockJumped(Nanos),
     /// The capture clock has reached this time.
     Tick(Timestamp),
     /// No more input will come.
@@ -357,7 +357,7 @@ impl Stage {
         let is_end = matches!(input, Input::End);
         match &input {
             Input::Detections(frame) => crowd.add(frame.clone()),
-            Input::Restart(step) => crowd.restart(*step),
+            Input::ClockJumped(by) => crowd.restart(*by),
             Input::Rig(rig) => self.calibrate(&mut crowd, rig),
             Input::Tick(now) => crowd.tick(*now),
             Input::End => crowd.end(),
@@ -532,7 +532,7 @@ fn of_tracker(input: Input) -> tracker::Input {
     match input {
         Input::Detections(frame) => tracker::Input::Detections(frame),
         Input::Rig(rig) => tracker::Input::Rig(rig),
-        Input::Restart(_) => tracker::Input::ClockStepped,
+        Input::ClockJumped(_) => tracker::Input::ClockJumped,
         Input::Tick(now) => tracker::Input::Tick(now),
         Input::End => tracker::Input::End,
     }

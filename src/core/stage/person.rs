@@ -116,8 +116,8 @@ impl Person {
         self.sets >= sets && self.seen - self.first >= time
     }
 
-    /// Capture times are so much later from here on.
-    pub(super) fn step(&mut self, by: Nanos) {
+    /// Capture times are later by `by` from here on.
+    pub(super) fn shift_times(&mut self, by: Nanos) {
         (self.seen, self.first) = (self.seen + by, self.first + by);
     }
 
@@ -126,8 +126,8 @@ impl Person {
         self.doubt.as_ref().map(|doubt| &doubt.before)
     }
 
-    /// Goes on as a person who was found elsewhere. That is somebody else if the lengths turn out to differ by more than
-    /// `most`.
+    /// Goes on as `other`, who was found elsewhere. That is somebody else if the lengths turn out to differ by more than
+    /// `most` (no unit, see [`Lengths::difference`]).
     pub(super) fn go_on_as(&mut self, other: Self, most: f64) {
         let before = self.doubt.take().map_or_else(|| self.clone(), |doubt| doubt.before);
         *self = Self {
@@ -145,7 +145,7 @@ impl Person {
         };
     }
 
-    /// The person is one of before.
+    /// The person is this one of before, and has its measurements, too.
     pub(super) fn was_before(&mut self, before: &Self) {
         self.lengths.join(&before.lengths);
         if before.sets > 0 {

@@ -292,7 +292,7 @@ impl Intake {
         watermarks.iter().rev().nth(1).or(watermarks.last()).copied()
     }
 
-    /// The same; but if a camera goes on alone, a while before its latest capture time.
+    /// As [`front`](Self::front). If one camera goes on alone, [`ALONE`] before its latest capture time.
     pub(in crate::core) fn front_or_alone(&self) -> Option<Timestamp> {
         let alone = self.reached.zip(self.newest());
         let alone = alone.filter(|([_, then], newest)| *newest - *then > ALONE);
@@ -311,7 +311,7 @@ impl Intake {
         Some(self.watermark(camera)? + self.step(camera).unwrap_or(period))
     }
 
-    /// Goes on counting the frames of the same cameras.
+    /// Adds the counts of used frames of `before`, which had the same cameras.
     pub(in crate::core) fn count_on_from(&mut self, before: &Self) {
         for (new, old) in self.cameras.iter_mut().zip(&before.cameras) {
             new.used += old.used;

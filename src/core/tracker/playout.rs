@@ -183,7 +183,7 @@ impl Tracker {
             let is_due = self.now.is_some_and(|now| now > capture + latency.declared);
             let grid = self.output_grid();
             if is_due || grid.is_some_and(|grid| self.playout.is_published(capture, &grid)) {
-                // A window's poses have been published before if the look-ahead is shorter. Skipped ones are counted.
+                // A window's poses have been published before if the look-ahead is shorter. Skipped ones have been counted.
                 let is_counted = |[first, last]: [Timestamp; 2]| (first..=last).contains(&capture);
                 let is_shown = self.playout.published.is_some()
                     && !self.is_resuming()

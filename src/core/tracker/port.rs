@@ -25,8 +25,8 @@ pub enum Input {
     Rig(Arc<Rig>),
     /// The tracker forgets all frames and searches again. It keeps the body.
     Restart,
-    /// As `Restart`, after a step of the capture clock.
-    ClockStepped,
+    /// As `Restart`, after a jump of the capture clock.
+    ClockJumped,
     /// As `Restart`, but the body is forgotten too: the performer may be somebody else.
     Forget,
     /// The solution of the solver's job.

@@ -352,7 +352,7 @@ impl Tracker {
                 self.restart();
                 self.idle.clock_jumped();
             }
-            Input::ClockStepped => {
+            Input::ClockJumped => {
                 self.handle(Input::Restart);
                 self.offsets.clock_jumped();
                 self.watchdog.clock_jumped();

@@ -14,29 +14,38 @@ const MIN_VIEW: usize = 4;
 /// A camera without frames after the first part of a whole window, one in this many, has stopped.
 const STOPPED: i64 = 4;
 
+/// What a camera shows of the performer in a window. Some cameras are slower than others.
+#[derive(Clone, Default)]
+struct View {
+    /// Number of its frames.
+    frames: usize,
+    observations: usize,
+    /// Whether it has not stopped early.
+    goes_on: bool,
+}
+
 /// The reason why too little was seen to solve the window; `None` if enough was seen.
 pub(super) fn hidden(gate: &Gate, job: &Job, observations: &[FrameObservations]) -> Option<String> {
-    // By camera, the numbers of its frames and of its observations: some cameras are slower than others. One that has
-    // stopped early is no view.
-    let mut views = vec![(0, 0); job.rig.cameras.len()];
-    let mut goes_on = vec![false; views.len()];
     let is_open = matches!(job.task, Task::Provisional { .. });
     let early = job.start + (job.end - job.start) / STOPPED;
+    let mut views = vec![View::default(); job.rig.cameras.len()];
     for frame in job.used_frames() {
-        views[frame.camera].0 += 1;
-        goes_on[frame.camera] |= is_open || frame.capture > early;
+        let view = &mut views[frame.camera];
+        view.frames += 1;
+        view.goes_on |= is_open || frame.capture > early;
     }
-    let all = observations.iter().flat_map(|frame| frame.observations());
-    all.filter(|seen| goes_on[seen.camera]).for_each(|seen| views[seen.camera].1 += 1);
-    views.retain(|(_, seen)| *seen > 0);
-    let frames = views.iter().map(|(frames, _)| *frames).max().unwrap_or(1).max(1);
-    let observed: usize = views.iter().map(|(_, seen)| seen).sum();
+    for seen in observations.iter().flat_map(|frame| frame.observations()) {
+        views[seen.camera].observations += 1;
+    }
+    views.retain(|view| view.goes_on && view.observations > 0);
+    let frames = views.iter().map(|view| view.frames).max().unwrap_or(1);
+    let observed: usize = views.iter().map(|view| view.observations).sum();
     let per_frame = observed as f64 / frames as f64;
     if per_frame < gate.lost_observations {
         let least = gate.lost_observations;
         return Some(format!("{per_frame:.1} observations a frame, below {least}"));
     }
-    let views = views.iter().filter(|(frames, seen)| *seen >= MIN_VIEW * frames).count();
+    let views = views.iter().filter(|view| view.observations >= MIN_VIEW * view.frames).count();
     (views < 2).then(|| format!("{views} cameras see the performer, 2 are needed"))
 }
 

@@ -22,6 +22,7 @@ use serde::Serialize;
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
 
+mod commands;
 mod config;
 #[cfg(feature = "iceoryx2")]
 mod frame;
@@ -30,6 +31,7 @@ mod iceoryx2;
 #[cfg(feature = "iceoryx2")]
 mod iceoryx2_services;
 mod memory;
+
 mod name;
 #[cfg(any(feature = "zenoh", feature = "iceoryx2"))]
 mod receivers;
@@ -39,6 +41,7 @@ mod zenoh;
 #[cfg(feature = "zenoh")]
 mod zenoh_settings;
 
+pub use commands::CommandPublisher;
 pub use config::{
     Config, Iceoryx2Config, Kind, TlsConfig, ZenohConfig, ZenohMode, open_client, open_node,
 };

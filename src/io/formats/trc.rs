@@ -36,11 +36,8 @@ pub(super) fn parse(text: &str) -> Result<Trajectories, TrajectoryError> {
     let original = header.number("OrigDataRate").ok().filter(|rate| *rate >= 1.0);
     let mut first_frame = header.number("OrigDataStartFrame")?.clamp(0.0, 1e9);
     // Most programs count from 1: frame 1 is at the time 0.
-    let first = lines.iter().skip(5).find(|text| !text.trim().is_empty());
-    let mut cells = first
-        .into_iter()
-        .flat_map(|text| text.split('\t').map(|cell| cell.trim().parse::<f64>().ok()));
-    if let (Some(Some(number)), Some(Some(time))) = (cells.next(), cells.next())
+    let first = lines.iter().skip(5).find_map(|text| number_and_time(text));
+    if let Some((number, time)) = first
         && first_frame >= 1.0
         && number == first_frame
         && (time * frame_rate - (number - 1.0)).abs() < ON_FRAME
@@ -85,6 +82,12 @@ fn marker_names(line: &str) -> Vec<String> {
         line.split('\t').skip(2).step_by(3).map(|name| name.trim().to_owned()).collect();
     let used = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
     names[..used].to_vec()
+}
+
+/// The frame number and the time of a row, seconds.
+fn number_and_time(row: &str) -> Option<(f64, f64)> {
+    let mut cells = row.split('\t').map(|cell| cell.trim().parse().ok());
+    Some((cells.next()??, cells.next()??))
 }
 
 fn row(

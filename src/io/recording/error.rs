@@ -89,8 +89,8 @@ pub enum RecordError {
     },
     /// An unfinished live recording exists where a new one would be written.
     #[error(
-        "{} exists, from a recording that still runs or was not finished; `bundlemocap info` reads it; \
-         choose another name, or if nothing records to it, rename or remove it",
+        "{} exists: a recorder writes it, or has not finished it; choose another name. If no recorder \
+         writes it, rename or remove it; `bundlemocap info` reads it",
         part.display()
     )]
     LeftOver {

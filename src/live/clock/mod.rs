@@ -122,8 +122,10 @@ impl Clock {
     /// Once, when three cameras have sent for a while: if most have a common clock, leaves out those whose clocks are ahead
     /// of it. Returns whether there are any, when a frame of another camera comes.
     fn leave_out_ahead(&mut self, camera: usize) -> bool {
-        let count = if self.is_settled { 0 } else { self.levels().count() };
-        let Some(middle) = median(self.levels()).filter(|_| count > 2) else { return false };
+        if self.is_settled || self.levels().count() < 3 {
+            return false;
+        }
+        let Some(middle) = median(self.levels()) else { return false };
         let base = Base::of(middle);
         let is_ahead = |level: Nanos| {
             base.is_common() && level < base.value() - AHEAD && level < middle - STEP
@@ -132,16 +134,17 @@ impl Clock {
             return false;
         }
         self.is_settled = true;
+        let mut is_any = false;
         for one in self.cameras.iter_mut().filter(|one| one.is_used()) {
             if let Some(level) = one.level().filter(|level| is_ahead(*level)) {
                 one.leave_out(LeftOut::Clock(level - middle));
+                is_any = true;
             }
         }
-        let is_new = self.levels().count() < count;
-        if is_new {
+        if is_any {
             self.base = self.levels().min().map(Base::of).or(self.base);
         }
-        is_new
+        is_any
     }
 
     /// The capture times of a camera are corrected by so much from here on.

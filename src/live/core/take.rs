@@ -51,7 +51,7 @@ impl Core {
             let text = format!("take {} ended before it began", waiting.name);
             self.answer(waiting.id, Err(text.clone()));
             self.use_held();
-            if self.running.is_empty() || !take.name.is_empty() && take.name != self.running {
+            if !ends(&take, &self.running) {
                 return self.answer(take.id, Ok(text));
             }
         }

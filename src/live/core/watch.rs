@@ -16,7 +16,7 @@ impl Core {
     /// The cameras' clock has stepped by `by` (0: another one was chosen at the start): tracking
     /// begins anew.
     pub(super) fn new_clock(&mut self, by: Nanos) {
-        self.give(stage::Input::Restart(-by));
+        self.give(stage::Input::ClockJumped(-by));
         if by != Nanos::ZERO {
             let (by, kind) = (-by.seconds(), self.clock.told());
             let detail = format!("stepped by {by:+.3} s, tracking begins anew; {kind}");
@@ -53,7 +53,7 @@ impl Core {
         }
         if by > FAR {
             // Until the last solved frame is reached again, all frames would be late.
-            self.give(stage::Input::Restart(-by));
+            self.give(stage::Input::ClockJumped(-by));
         }
         let detail = format!(
             "all corrections are lowered by {:.1} ms: no frame comes before its capture",

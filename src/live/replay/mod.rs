@@ -217,18 +217,13 @@ fn is_whole(entries: &[JournalEntry], running: &str) -> bool {
             Some(Entry::End(_)) => return true,
             Some(Entry::Message(message)) => {
                 let Some(take) = slate(message) else { continue };
-                let is_stop = take.action == "stop";
-                if is_stop
-                    && waiting.take_if(|one| take.name.is_empty() || *one == take.name).is_some()
-                    && (running.is_empty() || !take.name.is_empty() && take.name != running)
-                {
-                    continue;
-                }
-                if ends(&take, running) {
-                    if is_stop {
-                        return true;
+                match (&*take.action, ends(&take, running)) {
+                    ("stop", true) => return true,
+                    ("stop", false) => {
+                        waiting.take_if(|one| take.name.is_empty() || *one == take.name);
                     }
-                    waiting = Some(take.name);
+                    (_, true) => waiting = Some(take.name),
+                    _ => {}
                 }
             }
             _ => {}

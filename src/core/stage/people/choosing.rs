@@ -36,7 +36,7 @@ impl People {
             return Err(FollowError::Performer(self.names.of(PerformerId(performer))));
         }
         if !self.has_place() {
-            // Who was merged with another performer may be nobody.
+            // A performer who was merged with another one may be nobody.
             let is_merged = |one: &&mut Absent| one.merged.is_some() && one.keeps_place();
             let merged = self.absent.iter_mut().find(is_merged);
             merged.ok_or(FollowError::Full(self.limit))?.has_left = true;

@@ -79,7 +79,7 @@ struct Absent {
     has_left: bool,
     /// Whether this one is to be a bystander on return.
     is_unwanted: bool,
-    /// Whether the last place is of another calibration's world.
+    /// Whether the last place is in the world of another calibration.
     is_elsewhere: bool,
 }
 
@@ -214,15 +214,15 @@ impl People {
         self.names.know(known);
     }
 
-    /// Nobody is in view any more. Capture times are so much later from here on.
-    pub(super) fn restart(&mut self, step: Nanos) {
+    /// Nobody is in view any more. Capture times are later by `by` from here on.
+    pub(super) fn restart(&mut self, by: Nanos) {
         for member in std::mem::take(&mut self.members) {
             if let Role::Performer(performer) = member.role {
                 self.absent.push(Absent::new(performer, member.person));
             }
         }
         for one in &mut self.absent {
-            one.person.step(step);
+            one.person.shift_times(by);
         }
     }
 

@@ -87,21 +87,19 @@ impl People {
             }
             let performer = match self.judge(index, at) {
                 Verdict::Unsure => continue,
-                Verdict::Known(place) if self.is_unwanted(index, place) => {
+                Verdict::Known(place) => {
                     let Member { person, was, .. } = &mut self.members[index];
                     let Absent { performer, person: before, .. } = &self.absent[place];
-                    if *was != Some(*performer) {
+                    let performer = *performer;
+                    // Otherwise the person has the measurements of before.
+                    if *was != Some(performer) {
                         person.was_before(before);
                     }
-                    self.make_bystander(index, place);
-                    continue;
-                }
-                Verdict::Known(place) => {
-                    let Absent { performer, person: before, .. } = self.absent.remove(place);
-                    let Member { person, was, .. } = &mut self.members[index];
-                    if *was != Some(performer) {
-                        person.was_before(&before);
+                    if self.is_unwanted(index, place) {
+                        self.make_bystander(index, place);
+                        continue;
                     }
+                    self.absent.remove(place);
                     changes.push(Change::Returned(performer));
                     performer
                 }
@@ -134,7 +132,7 @@ impl People {
         if is_early || self.is_taken_for(person, at) {
             return Verdict::Unsure;
         }
-        // Too little may be seen to compare.
+        // Too little is seen to compare them.
         let is_unknown = |one: &Absent| {
             one.person.was_here()
                 && self.may_return(one)
@@ -151,7 +149,7 @@ impl People {
         }
     }
 
-    /// Whether this may be a performer for whom somebody else may be taken at the moment.
+    /// Whether this may be a performer, while somebody else may be followed as that performer.
     fn is_taken_for(&self, candidate: &Person, at: Timestamp) -> bool {
         let performers =
             self.members.iter().filter(|member| matches!(member.role, Role::Performer(_)));

@@ -13,7 +13,8 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 
-use super::{BOM, CameraReport, RawPerson, frame_number, table};
+use super::folders::frame_number;
+use super::{BOM, CameraReport, RawPerson, table};
 use crate::core::detections::Detection;
 
 /// Fields of a frame that hold its people.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::folders::frame_number;
 use super::{CameraReport, RawPerson, h5};
 use crate::core::detections::Detection;
 
@@ -86,7 +87,7 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
         }
     }
     if !fields.contains_key("frame") && fields.contains_key("person") {
-        return Err("it has people but no column frame; name it frame".into());
+        return Err("it has a column of people but no column frame".into());
     }
     if columns.iter().all(|(_, (_, _, axis))| *axis != 1) {
         return Err("no columns of points; name them NAME_x, NAME_y and NAME_c".into());
@@ -160,7 +161,7 @@ fn row(
     let of = |text: &str| match text.parse::<f64>() {
         Ok(value) if value >= 0.0 && value.fract() == 0.0 => Some(value as u64),
         Ok(_) => None,
-        Err(_) => super::frame_number(text),
+        Err(_) => frame_number(text),
     };
     let number = cell("frame").or(cell("index")).map(of);
     let number = match number {
