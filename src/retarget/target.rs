@@ -8,7 +8,7 @@ use super::map::{Map, UNITS, Up};
 use super::names::{self, Convention};
 use super::{Mapping, RetargetError};
 use crate::core::body::{JOINTS, Joint};
-use crate::io::formats::bvh::{Bvh, BvhJoint, Channel};
+use crate::io::formats::bvh::{Bvh, BvhError, BvhJoint, Channel};
 
 /// Typical leg length, hip to knee to ankle, for guessing units, metres.
 const LEG: f64 = 0.83;
@@ -16,6 +16,9 @@ const LEG: f64 = 0.83;
 const CMU_UNIT: f64 = 0.056_444;
 /// Directions within this angle of an axis snap to it, cosine of 20 degrees.
 const UPRIGHT: f64 = 0.94;
+/// The same of the heading: hips that were measured are a little uneven, but a rest pose may face any direction. Cosine
+/// of 3 degrees.
+const AHEAD: f64 = 0.9986;
 
 /// The skeleton that poses are retargeted to.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,10 +42,12 @@ impl Target {
     /// # Errors
     /// The file cannot be read or is not BVH.
     pub fn read(path: &Path, map: &Map) -> Result<Self, RetargetError> {
-        let text = std::fs::read_to_string(path)
+        let bytes = std::fs::read(path)
             .map_err(|source| RetargetError::Read { path: path.into(), source })?;
-        let bvh =
-            Bvh::parse(&text).map_err(|source| RetargetError::Bvh { path: path.into(), source })?;
+        let text = String::from_utf8(bytes).map_err(|_| BvhError::Encoding);
+        let bvh = text
+            .and_then(|text: String| Bvh::parse(&text))
+            .map_err(|source| RetargetError::Bvh { path: path.into(), source })?;
         Ok(Self::new(bvh, path, map))
     }
 
@@ -176,28 +181,33 @@ impl Target {
         self.upwards(hips).find(moves)
     }
 
-    /// F = `ours_from_target` at rest: maps the target's left to +x and its up to +y. Directions
-    /// within 20 degrees of an axis of the file snap to it.
+    /// F = `ours_from_target` at rest: maps the target's left to +x and its up to +y. Up within 20
+    /// degrees of an axis of the file snaps to it, left within 3.
     pub(super) fn facing(&self, mapping: &Mapping) -> Result<Matrix3<f64>, RetargetError> {
         let at = |joint| mapping.joint(joint).map_or(Vector3::zeros(), |t| self.rest[t]);
         let middle = |joint: Joint| 0.5 * (at(joint) + at(joint.mirrored()));
         let shape =
             |what: &str| RetargetError::Shape { target: self.path.clone(), what: what.into() };
         let up = (middle(Joint::LShoulder) - middle(Joint::LHip)).try_normalize(1e-6);
-        let up = snapped(up.ok_or_else(|| shape("its shoulders and hips have the same position"))?);
+        let up = snapped(
+            up.ok_or_else(|| shape("its shoulders and hips have the same position"))?,
+            UPRIGHT,
+        );
         let across = at(Joint::LHip) - at(Joint::RHip);
         let left = (across - up * up.dot(&across)).try_normalize(1e-6);
-        let left =
-            snapped(left.ok_or_else(|| shape("its left and right hips have the same position"))?);
+        let left = snapped(
+            left.ok_or_else(|| shape("its left and right hips have the same position"))?,
+            AHEAD,
+        );
         let left = (left - up * up.dot(&left)).normalize();
         Ok(Matrix3::from_columns(&[left, up, left.cross(&up)]).transpose())
     }
 }
 
-/// The nearest axis if it is within 20 degrees, else `direction`.
-fn snapped(direction: Vector3<f64>) -> Vector3<f64> {
+/// The nearest axis if the cosine of its angle is at least `near`, else `direction`.
+fn snapped(direction: Vector3<f64>, near: f64) -> Vector3<f64> {
     let axis = direction.iamax();
-    if direction[axis].abs() < UPRIGHT {
+    if direction[axis].abs() < near {
         return direction;
     }
     Vector3::ith(axis, direction[axis].signum())
@@ -226,8 +236,8 @@ mod tests {
 
     #[test]
     fn directions_near_an_axis_snap_to_it() {
-        assert_eq!(snapped(Vector3::new(0.05, -0.99, 0.1)), -Vector3::y());
+        assert_eq!(snapped(Vector3::new(0.05, -0.99, 0.1), UPRIGHT), -Vector3::y());
         let between = Vector3::new(0.6, 0.8, 0.0);
-        assert_eq!(snapped(between), between);
+        assert_eq!(snapped(between, UPRIGHT), between);
     }
 }

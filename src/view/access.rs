@@ -43,7 +43,9 @@ impl Access {
         let port = self.address.port();
         let own =
             [format!("localhost:{port}"), format!("127.0.0.1:{port}"), self.address.to_string()];
-        let is_here = self.token.is_some() || own.iter().any(|own| host == own);
+        // Browsers leave out the usual port.
+        let is_here = self.token.is_some()
+            || own.iter().any(|own| [own, own.trim_end_matches(":80")].contains(&host));
         let is_same = text(&ORIGIN).is_none_or(|origin| origin == format!("http://{host}"));
         let from = text(&FETCH_SITE).unwrap_or("none");
         is_here && is_same && (path == "/" || ["none", "same-origin"].contains(&from))

@@ -107,6 +107,9 @@ pub(super) struct Gathered {
     statuses: BTreeMap<String, Statuses>,
     /// Number of the first file with statuses, the node there, and its statuses.
     node: Option<(usize, String, Statuses)>,
+    /// Numbers of the files with a rig, and whether they have poses.
+    rigs: Vec<(usize, bool)>,
+    has_rig: bool,
     /// Events, each with its performer, if it concerns one.
     events: Vec<(Option<String>, Event)>,
     cameras: BTreeMap<String, u64>,
@@ -145,6 +148,9 @@ impl Gathered {
         events: usize,
     ) -> BTreeMap<String, String> {
         let own = std::mem::replace(&mut self.performers, earlier);
+        if std::mem::take(&mut self.has_rig) {
+            self.rigs.push((number, !own.is_empty()));
+        }
         let mut statuses = std::mem::take(&mut self.statuses);
         // With several performers each has statuses, too; the node has no poses then.
         let is_node = |name: &&String| !own.contains_key(*name);
@@ -206,6 +212,10 @@ impl Gathered {
                 *self.cameras.entry(frame.camera).or_default() += 1;
                 Some(at)
             }
+            Message::Rig(_) => {
+                self.has_rig = true;
+                None
+            }
             Message::Event(event) => {
                 let of = Topic::parse(topic).ok().and_then(|topic| topic.topics());
                 self.events.push((of.map(|topics| topics.actor), event));
@@ -224,6 +234,14 @@ impl Gathered {
     /// Number of the file whose statuses judge the cameras.
     pub(super) fn judged(&self) -> Option<usize> {
         self.node.as_ref().map(|(number, ..)| *number)
+    }
+
+    /// Number of the file whose rig counts: its poses were solved with it, if there are any.
+    pub(super) fn rig(&self) -> Option<usize> {
+        let judged = self.judged();
+        let rigs = self.rigs.iter();
+        let first = rigs.min_by_key(|(file, has_poses)| (Some(*file) != judged, !has_poses, *file));
+        first.map(|(file, _)| *file)
     }
 
     pub(super) fn finish(self) -> Overview {

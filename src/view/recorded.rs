@@ -18,6 +18,8 @@ pub struct Recorded {
     files: Vec<File>,
     /// Number of the file whose statuses count, from 0.
     judged: Option<usize>,
+    /// Number of the file whose rig counts, from 0.
+    rig: Option<usize>,
     overview: Overview,
 }
 
@@ -41,7 +43,8 @@ impl Recorded {
             let (delays, renamed) = all.read(&mut Reader::open(path)?, number, &mut progress)?;
             files.push(File { path: path.clone(), spans: Spans::open(path)?, delays, renamed });
         }
-        Ok(Self { files, judged: all.judged().map(|number| number - 1), overview: all.finish() })
+        let [judged, rig] = [all.judged(), all.rig()].map(|file| file.map(|number| number - 1));
+        Ok(Self { files, judged, rig, overview: all.finish() })
     }
 
     /// What they hold.
@@ -69,11 +72,14 @@ impl Recorded {
             let known = entries.len();
             let until = to + *most + Nanos::new(1);
             let before = [Timestamp::from_ns(i64::MIN), until];
-            entries.extend(spans.read(before, |topic| kind(topic) == Some("state"))?);
+            let is_state = |topic: &str| {
+                let kind = kind(topic);
+                kind == Some("state") || kind == Some("rig") && self.rig == Some(number)
+            };
+            entries.extend(spans.read(before, is_state)?);
             let is_streamed = |topic: &str| {
                 let is_other = |kind| kind == "status" && self.judged != Some(number);
-                kind(topic)
-                    .is_some_and(|kind| kind != "state" && kinds.contains(&kind) && !is_other(kind))
+                kind(topic).is_some_and(|kind| kinds.contains(&kind) && !is_other(kind))
             };
             let streamed = spans.read([from + *least, until], is_streamed)?;
             let is_inside = |entry: &RawEntry| (from..to).contains(&entry.publish_time);
@@ -89,9 +95,11 @@ impl Recorded {
         }
         // States first, then what they are needed for.
         let order = |entry: &RawEntry| match kind(&entry.topic) {
-            Some("state") => 0,
-            Some("keypoints") => 1,
-            _ => 2,
+            Some("rig" | "state") => 0,
+            // It may correct the keypoints' times.
+            Some("status") => 1,
+            Some("keypoints") => 2,
+            _ => 3,
         };
         entries.sort_by_key(order);
         let mut frames = Vec::new();
@@ -109,7 +117,7 @@ impl Recorded {
 fn kind(topic: &str) -> Option<&'static str> {
     Some(match Topic::parse(topic).ok()? {
         Topic::Stage { channel, .. } => match channel {
-            StageChannel::Rig => "state",
+            StageChannel::Rig => "rig",
             StageChannel::Keypoints { .. } => "keypoints",
             _ => return None,
         },

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use bundlemocap::config::Config;
 use bundlemocap::core::time::Nanos;
-use bundlemocap::io::wire::{Event, KeypointSet, Pose, Status, Take, Topics, encode};
+use bundlemocap::io::wire::{Event, KeypointSet, Pose, Rig, Status, Take, Topics, decode, encode};
 use bundlemocap::research::synth::Noise;
 
 use crate::live::{NETWORK, START, Sent, World, at, performers};
@@ -52,25 +52,31 @@ fn latency(status: &Status) -> Nanos {
 fn capture_times_are_corrected_when_ordered() {
     let late = Nanos::from_ms(100);
     for people in [1, 3] {
-        let mut sent = studio(people, 0.1, 16.0);
+        let mut sent = studio(people, 0.1, 18.0);
         let start = Take { id: 8, action: "start".into(), name: "walk".into(), ..Take::default() };
         let topic = Topics::default().take();
         sent.push(Sent { arrival: at(12.0), topic, payload: encode(&start) });
         sent.push(order("cam04", -100.0, 6.0));
+        // A calibration that says so too.
+        let mut rig: Rig = decode(&sent[0].payload).unwrap();
+        (rig.version, rig.cameras[3].time_offset_ns) = (rig.version + 1, -100_000_000);
+        let topic = Topics::default().rig();
+        sent.push(Sent { arrival: at(14.0), topic, payload: encode(&rig) });
         sent.extend([order("cam9", -100.0, 7.0), order("cam04", 1e6, 7.0)]);
         let mut config = Config::default();
         config.stage.performers = if people == 1 { "1" } else { "auto" }.parse().unwrap();
-        let (world, recorded) = recorded(World::new(&config), sent, 16.0);
+        let (world, recorded) = recorded(World::new(&config), sent, 18.0);
         let refused: Vec<bool> = answers(&world).iter().map(|(refused, _)| *refused).collect();
         assert_eq!(refused, [false, true, true, false], "{:?}", answers(&world));
-        let [before, after, last] = [5.9, 11.9, 15.9].map(|seconds| status(&world, seconds));
-        for (status, correction) in [(&before, 0.0), (&after, -0.1), (&last, -0.1)] {
+        let [before, after, again, last] =
+            [5.9, 11.9, 13.9, 17.9].map(|seconds| status(&world, seconds));
+        for (status, correction) in [(&before, 0.0), (&after, -0.1), (&again, -0.1), (&last, 0.0)] {
             assert_eq!(status.cameras[3].time_correction_s, correction);
         }
-        let residuals = [2.0..6.0, 7.0..12.0].map(|seconds| residual(&world, seconds));
+        let residuals = [2.0..6.0, 7.0..12.0, 14.5..18.0].map(|seconds| residual(&world, seconds));
         let latencies = [&before, &after].map(latency);
         println!("{people} performers: {residuals:?} px, {latencies:?}");
-        assert!(residuals[1] < 0.5 * residuals[0]);
+        assert!(residuals[1] < 0.5 * residuals[0] && residuals[2] < 0.5 * residuals[0]);
         // The frames come so much later, and nothing else has changed.
         let by = latencies[1] - latencies[0];
         assert!((late..late + NETWORK + Nanos::from_ms(20)).contains(&by), "{by}");

@@ -233,6 +233,7 @@ impl Bridge {
             return;
         }
         let first = *self.first.get_or_insert(pose.capture);
+        target.claim(actor);
         match target.send(body, &pose, first) {
             Ok(()) => self.count.sent += 1,
             Err(error) => {
@@ -293,6 +294,14 @@ impl Target {
         Ok(())
     }
 
+    /// Something is sent of that performer: the address is theirs.
+    fn claim(&mut self, actor: &str) {
+        if self.performer.is_none() {
+            note(&format!("{} gets {actor}", self.address));
+            self.performer = Some(actor.to_owned());
+        }
+    }
+
     /// Whoever comes next may have an address without a name.
     fn free(&mut self) {
         if !self.is_named {
@@ -315,13 +324,7 @@ fn socket_for(address: SocketAddr) -> std::io::Result<UdpSocket> {
 fn target_of<'a>(targets: &'a mut [Target], actor: &str) -> Option<&'a mut Target> {
     let is_of = |target: &Target| target.performer.as_deref() == Some(actor);
     let of = targets.iter().position(is_of);
-    let target =
-        &mut targets[of.or_else(|| targets.iter().position(|one| one.performer.is_none()))?];
-    if target.performer.is_none() {
-        note(&format!("{} gets {actor}", target.address));
-        target.performer = Some(actor.to_owned());
-    }
-    Some(target)
+    Some(&mut targets[of.or_else(|| targets.iter().position(|one| one.performer.is_none()))?])
 }
 
 #[cfg(test)]
@@ -333,7 +336,9 @@ mod tests {
         let addresses = ["p2=127.0.0.1:9", "127.0.0.1:10"].map(str::to_owned);
         let mut bridge = Bridge::new(&addresses, None, false, None).unwrap();
         let address = |bridge: &mut Bridge, actor: &str| {
-            target_of(&mut bridge.targets, actor).map(|target| target.address.port())
+            let target = target_of(&mut bridge.targets, actor)?;
+            target.claim(actor);
+            Some(target.address.port())
         };
         assert_eq!(address(&mut bridge, "p1"), Some(10));
         assert_eq!(address(&mut bridge, "p2"), Some(9));

@@ -41,6 +41,17 @@ impl Rig {
         names.eq(other.cameras.iter().map(|camera| &camera.name))
     }
 
+    /// By how much a new calibration of the same cameras changes the time offsets in use, of each camera with another
+    /// calibrated offset. `corrections` of cameras are in these offsets, and end with it.
+    pub fn offset_changes(&self, corrections: &[Nanos], new: &Self) -> Vec<(usize, Nanos)> {
+        let cameras = self.cameras.iter().zip(&new.cameras).zip(corrections).enumerate();
+        let change = |(camera, ((old, new), correction)): (usize, ((&Camera, &Camera), &Nanos))| {
+            let by = new.time_offset - old.time_offset;
+            (by != -*correction).then_some((camera, by))
+        };
+        cameras.filter_map(change).collect()
+    }
+
     /// Adds to the time offsets, by camera; cameras without a value keep theirs.
     pub fn shift_times(&mut self, by: &[Nanos]) {
         by.iter().enumerate().for_each(|(camera, by)| self.shift_time(camera, *by));

@@ -21,6 +21,12 @@ impl Stage {
         if !rig.has_cameras_of(crowd.rig()) {
             self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
             crowd.leave_out_moved(Vec::new());
+        } else {
+            for (camera, by) in crowd.rig().offset_changes(&self.corrections, rig) {
+                crowd.shift_time(camera, by);
+                self.corrections[camera] = Nanos::ZERO;
+            }
+            self.all().for_each(|tracker| tracker.take_time_offsets(rig));
         }
         let is_same_world = is_same_world(rig, crowd.rig());
         let rig = shifted(rig, &self.corrections);

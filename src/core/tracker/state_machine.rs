@@ -312,6 +312,14 @@ impl Tracker {
         self.shift_waiting(camera, by);
     }
 
+    /// The time offsets of a new calibration of the same cameras hold at once, in place of what was corrected.
+    pub(in crate::core) fn take_time_offsets(&mut self, new: &Rig) {
+        for (camera, by) in self.rig.offset_changes(self.time_corrections(), new) {
+            self.correct_times(camera, self.time_corrections()[camera] + by);
+            self.offsets.set(camera, Nanos::ZERO);
+        }
+    }
+
     /// The capture times of a camera's frames that wait are so much later.
     pub(super) fn shift_waiting(&mut self, camera: usize, by: Nanos) {
         let late = self.intake.shift(camera, by);
@@ -524,6 +532,7 @@ impl Tracker {
         // Answers to jobs that are out are relative to the old calibration.
         self.mending.iter_mut().for_each(Mending::begin_anew);
         if rig.has_cameras_of(&self.rig) {
+            self.take_time_offsets(&rig);
             self.next_rig = Some(rig);
             return;
         }

@@ -64,7 +64,7 @@ pub(crate) struct CameraClock {
     smallest: VecDeque<(i64, Nanos)>,
     /// By how much the delay has grown.
     changed: Nanos,
-    /// What motion or somebody found to be wrong with its capture times, and is added to them.
+    /// What the calibration, motion or somebody says to be wrong with its capture times, and is added to them.
     correction: Nanos,
     /// Largest capture time, and the last arrival.
     pub(crate) last: Option<(Timestamp, Timestamp)>,

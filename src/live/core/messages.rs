@@ -6,7 +6,7 @@ use super::Core;
 use super::port::{MOST_BYTES, MOST_ORDER_BYTES};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
-use crate::core::stage::{self, Stage};
+use crate::core::stage;
 use crate::core::time::Nanos;
 use crate::core::tracker::EventKind;
 use crate::io::wire::{
@@ -167,11 +167,9 @@ impl Core {
         if !is_usable {
             return;
         }
-        // The time that the tracker uses: the calibration or the motion may say that the clock is off.
-        let rig = self.stage.as_ref().map(Stage::rig);
-        let known = rig.and_then(|rig| rig.cameras.get(index)).map(|camera| camera.time_offset);
-        self.clock.correct(index, self.time_correction(index));
-        if self.arrive(&frame, known.unwrap_or_default()) {
+        let offset = self.time_offset(index);
+        self.clock.correct(index, offset);
+        if self.arrive(&frame, offset) {
             self.give(stage::Input::Detections(frame));
         }
     }

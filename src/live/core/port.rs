@@ -147,6 +147,21 @@ pub struct Carried {
 }
 
 impl Carried {
+    /// Another calibration holds: no camera is left out, and those with another time offset are not corrected.
+    pub(super) fn recalibrate(&mut self, before: &[u8], now: &[u8]) {
+        self.left_out.clear();
+        let [before, now] = [before, now].map(|rig| wire::decode::<wire::Rig>(rig).ok());
+        let known = |rig: &Option<wire::Rig>, camera: usize| {
+            let camera = rig.as_ref()?.cameras.get(camera)?;
+            Some((camera.name.clone(), camera.time_offset_ns))
+        };
+        for (camera, offset) in self.time_offsets.iter_mut().enumerate() {
+            if known(&before, camera) != known(&now, camera) {
+                *offset = Nanos::ZERO;
+            }
+        }
+    }
+
     /// As the head of a journal has it.
     pub fn of(start: &JournalStart) -> Self {
         let latency = i64::try_from(start.latency_ns).unwrap_or(i64::MAX);

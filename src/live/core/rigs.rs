@@ -5,9 +5,10 @@ use std::sync::Arc;
 use super::port::Input;
 use super::publication::Content;
 use super::{Calibration, Core};
+use crate::core::camera::Rig;
 use crate::core::fnv::fnv1a;
 use crate::core::stage;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::EventKind;
 use crate::io::wire::{self, ActorChannel, Topic};
 use crate::live::clock::Clock;
@@ -25,8 +26,8 @@ impl Core {
     pub(super) fn rig_file(&mut self, bytes: Vec<u8>) {
         if self.journal.count == 0 {
             let before = self.rig_at_start.replace(bytes.clone());
-            if before.is_some_and(|before| before != bytes) {
-                self.settings.carried.left_out.clear();
+            if let Some(before) = before.filter(|before| *before != bytes) {
+                self.settings.carried.recalibrate(&before, &bytes);
             }
         }
         if self.calibrate(&bytes, "the file")
@@ -104,6 +105,7 @@ impl Core {
                 camera.set_usual_px(0.0);
             }
         }
+        self.take_time_offsets(&rig);
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
@@ -118,6 +120,28 @@ impl Core {
             None => self.begin(rig),
         }
         true
+    }
+
+    /// The time offsets of a new calibration of the same cameras hold in place of what was corrected.
+    fn take_time_offsets(&mut self, new: &Rig) {
+        let Some(stage) = self.stage.as_ref().filter(|stage| stage.rig().has_cameras_of(new))
+        else {
+            return;
+        };
+        let corrections = stage.time_corrections().to_vec();
+        let changes = stage.rig().offset_changes(&corrections, new);
+        // Frames that were given have the times from before.
+        self.drain();
+        for (camera, _) in changes {
+            let correction = corrections[camera];
+            if correction != Nanos::ZERO {
+                let detail = format!(
+                    "its calibration has another time offset: the correction of {:+.1} ms ends",
+                    correction.ms()
+                );
+                self.event(EventKind::TimeOffset, Some(&new.cameras[camera].name), detail);
+            }
+        }
     }
 
     fn refuse_rig(&mut self, why: String) -> bool {

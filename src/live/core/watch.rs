@@ -30,6 +30,13 @@ impl Core {
         corrections.and_then(|all| all.get(camera)).copied().unwrap_or_default()
     }
 
+    /// What is added to the capture times of a camera: the calibration, the motion or somebody says that its clock is off.
+    pub(super) fn time_offset(&self, camera: usize) -> Nanos {
+        let rig = self.stage.as_ref().map(stage::Stage::rig);
+        let known = rig.and_then(|rig| rig.cameras.get(camera)).map(|camera| camera.time_offset);
+        known.unwrap_or_default()
+    }
+
     /// Corrects the capture times of a camera by so many milliseconds, in place of the correction so far. Returns what
     /// was done.
     pub(super) fn correct_times(&mut self, name: &str, ms: f64) -> Result<String, String> {
@@ -68,7 +75,7 @@ impl Core {
         if let Some(stage) = &mut self.stage {
             stage.correct_times(camera, correction);
         }
-        self.clock.correct(camera, correction);
+        self.clock.correct(camera, self.time_offset(camera));
     }
 
     /// Reports single frames with a wrong time.

@@ -8,7 +8,7 @@ import { Figures } from "./figures.js";
 import { RANK, cameraLight, levelOf, nodeLight, setExpected } from "./lights.js";
 import { NEXT, inLoop, press } from "./loop.js";
 import { Decoder } from "./messages.js";
-import { AGE, Panes, drawOver } from "./panes.js";
+import { Panes, drawOver } from "./panes.js";
 import { View } from "./scene.js";
 import { Live, Recording } from "./sources.js";
 import { Store } from "./store.js";
@@ -77,16 +77,19 @@ function lookOf({ name, number }) {
   return { name, shown: display_name || name, tint: own || colour(number), locked };
 }
 
+/** Of the performers at a time, those who are drawn. */
+const drawn = (people) => people.filter(({ name }) => !hidden.has(name));
+
 /** The performers at a time, as scene and panes draw them. */
 function peopleAt(time, channel) {
   const people = [];
   for (const one of store.performers.values()) {
-    const pose = one[channel].at(time, AGE);
-    if (!pose || hidden.has(one.name)) continue;
+    const pose = one[channel].shown(time);
+    if (!pose) continue;
     const parents = one.skeleton?.parents ?? PARENTS;
     const head = one.skeleton?.joint_names.indexOf("head") ?? -1;
     if (parents.length * 3 !== pose.joints.length) continue;
-    const points = one.points.at(time, AGE);
+    const points = one.points.shown(time);
     const skin = pose.rotations.length === 4 * parents.length ? one.skin : undefined;
     people.push({ ...pose, ...lookOf(one), points, skin, parents, head });
   }
@@ -142,9 +145,9 @@ function frame(now) {
     framed = true;
     view.frameAll(people);
   }
-  view.draw(people, ghosts);
-  drawOver($("over"), view.through, store, chosen.time, people);
-  panes.draw(store, chosen.time, people);
+  view.draw(drawn(people), drawn(ghosts));
+  drawOver($("over"), view.through, store, chosen.time, drawn(people));
+  panes.draw(store, chosen.time, drawn(people));
   measureScreen(people);
   pictures++;
   scripts.push(performance.now() - begin);
@@ -392,7 +395,7 @@ function drawRuns(canvas, place) {
     context.fillStyle = "#8a8f9866";
     context.fillRect(Math.min(left, right), 0, Math.max(1, Math.abs(right - left)), height);
   }
-  const all = [...store.performers.values()];
+  const all = present();
   const line = Math.min(6, (height - 8) / Math.max(all.length, 1));
   all.forEach((one, row) => {
     context.fillStyle = lookOf(one).tint;
@@ -468,10 +471,12 @@ function goTo(time) {
   remember();
 }
 
-/** The next pose of a performer in a direction. */
+/** The next pose of a performer in a direction; without poses, the next keypoints of a camera. */
 function step(direction) {
   chosen.playing = false;
-  const times = [...store.performers.values()].map((one) => one.poses.times).sort((a, b) => b.length - a.length)[0] ?? [];
+  const longest = (all) => all.map(({ times }) => times).sort((a, b) => b.length - a.length)[0] ?? [];
+  const poses = longest([...store.performers.values()].map((one) => one.poses));
+  const times = poses.length > 0 ? poses : longest([...store.keypoints.values()]);
   const next = direction > 0 ? times.find((time) => time > chosen.time + 1e-4) : times.findLast((time) => time < chosen.time - 1e-4);
   if (next !== undefined) chosen.time = next;
   remember();
@@ -506,7 +511,7 @@ function showProvisional(on) {
 
 function showAll() {
   lookThrough();
-  view.frameAll(peopleAt(chosen.time, "poses"));
+  view.frameAll(drawn(peopleAt(chosen.time, "poses")));
 }
 
 function loop() {
@@ -561,7 +566,7 @@ bar.addEventListener("pointerdown", (event) => {
 });
 bar.addEventListener("pointermove", scrub);
 $("canvas").addEventListener("dblclick", ({ clientX, clientY }) => {
-  follow(view.pick(clientX, clientY, peopleAt(chosen.time, "poses")));
+  follow(view.pick(clientX, clientY, drawn(peopleAt(chosen.time, "poses"))));
 });
 
 const KEYS = {

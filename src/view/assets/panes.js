@@ -5,8 +5,6 @@ import { colour } from "./colours.js";
 import { project } from "./lens.js";
 import { median } from "./store.js";
 
-/** A frame is shown for this long, seconds; cameras of 5 Hz do not flicker. */
-export const AGE = 0.21;
 /** A detected person farther from a body than this part of the image's diagonal, in the median, is somebody else. */
 const NEAR = 0.04;
 
@@ -52,17 +50,20 @@ export class Panes {
       caption.className = "caption";
       const swatch = caption.appendChild(document.createElement("span"));
       swatch.className = "swatch";
-      // Its colour in the charts.
-      swatch.style.background = colour(names.indexOf(name));
       const light = caption.appendChild(document.createElement("span"));
       const count = caption.appendChild(document.createElement("span"));
       light.className = "light";
       light.textContent = name;
       button.addEventListener("click", () => this.choose(name));
-      this.root.append(button);
       this.observer.observe(button);
-      this.panes.set(name, { button, canvas, light, count, context: canvas.getContext("2d") });
+      this.panes.set(name, { button, canvas, swatch, light, count, context: canvas.getContext("2d") });
     }
+    names.forEach((name, number) => {
+      const { button, swatch } = this.panes.get(name);
+      // Its colour in the charts.
+      swatch.style.background = colour(number);
+      if (this.root.children[number] !== button) this.root.insertBefore(button, this.root.children[number]);
+    });
   }
 
   /** The camera to look through, if there is one. */
@@ -81,7 +82,7 @@ export class Panes {
   draw(store, time, people) {
     for (const [name, pane] of this.panes) {
       const lens = this.lenses?.get(name);
-      const frame = store.keypoints.get(name)?.at(time, AGE);
+      const frame = store.keypoints.get(name)?.shown(time);
       const [width, height] = lens ? [lens.width, lens.height] : (frame?.size ?? [16, 9]);
       const wide = Math.round(pane.canvas.clientWidth * Math.min(devicePixelRatio, 2)) || 200;
       const high = Math.round((wide * height) / Math.max(width, 1));
@@ -106,7 +107,7 @@ export function drawOver(canvas, through, store, time, people) {
   context.translate(...corner);
   context.strokeStyle = "#8a8f98";
   context.strokeRect(0, 0, lens.width * scale, lens.height * scale);
-  const frame = store.keypoints.get(lens.name)?.at(time, AGE);
+  const frame = store.keypoints.get(lens.name)?.shown(time);
   drawKeypoints(context, lens, frame, people, store.usualOf(lens.name, time), scale);
 }
 

@@ -52,6 +52,13 @@ export class Series {
     return low;
   }
 
+  /** The item that a picture of a time shows: at most 0.21 s old, or, of fewer than 5 items a second, one and a half steps. */
+  shown(time) {
+    const newest = this.times.slice(-9);
+    const step = median(newest.slice(1).map((at, k) => at - newest[k])) ?? 0;
+    return this.at(time, Math.max(0.21, 1.5 * Math.min(step, 2)));
+  }
+
   /** The last item at a time or up to `age` seconds before it. */
   at(time, age = 0.1) {
     const index = this.after(time + 1e-6) - 1;
@@ -184,7 +191,15 @@ export class Store {
     const people = frame.people.map((person) => person.points);
     const size = [frame.image_width ?? 0, frame.image_height ?? 0];
     this.came.set(frame.camera, performance.now());
-    this.camera(frame.camera).add(this.seconds(frame.capture_time_ns ?? 0n), { people, size, arrival }, this.jump);
+    const capture = (frame.capture_time_ns ?? 0n) + this.offsetOf(frame.camera);
+    this.camera(frame.camera).add(this.seconds(capture), { people, size, arrival }, this.jump);
+  }
+
+  /** What is added to the capture times of a camera, ns: by the calibration, and by what the node found since. */
+  offsetOf(camera) {
+    const known = this.rig?.cameras.find(({ name }) => name === camera)?.time_offset_ns ?? 0n;
+    const found = this.statuses.items.at(-1)?.status.cameras.find(({ name }) => name === camera)?.time_correction_s ?? 0;
+    return known + BigInt(Math.round(found * 1e9));
   }
 
   /** Where a body has its keypoints: index in the format, x, y, z, and so on. */

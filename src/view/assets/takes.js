@@ -38,6 +38,8 @@ export function takes(store, source, lookOf, floorAt) {
   // Name of the take that runs, or of the last one; and the take whose next name is in the field.
   let [noteTake, followed] = [undefined, undefined];
   const sendNote = (mark) => {
+    // The text stays until it can be sent.
+    if (!source.connected) return;
     command("note", noteTake, { mark, note: $("note").value });
     $("note").value = "";
   };
