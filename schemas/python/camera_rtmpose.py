@@ -141,14 +141,17 @@ class Stored:
 
     def __init__(self, recording, camera):
         _, frames = recorded(recording)
+        first = min((frame.frame for frame in frames), default=0)
         frames = [frame for frame in frames if frame.camera == camera]
         if not frames:
             raise SystemExit(f"{recording}: no keypoints of {camera}")
         self.format = frames[0].format
-        self._people = [[triples(person.points) for person in frame.people] for frame in frames]
+        self._people = {
+            frame.frame - first: [triples(person.points) for person in frame.people] for frame in frames
+        }
 
     def __call__(self, number, _):
-        return self._people[number] if number < len(self._people) else []
+        return self._people.get(number, [])
 
 
 def run(source, detect, publish, report_seconds, say):

@@ -79,8 +79,7 @@ impl BusArguments {
 
     /// The topics of the stage, of all actors unless one is named.
     pub(super) fn topics(&self, config: &Config) -> Topics {
-        let is_named =
-            self.actor.is_some() || self.config.is_some() && config.stage.performers.limit() == 1;
+        let is_named = self.actor.is_some() || config.node.actor != Config::default().node.actor;
         let own = topics(config);
         if is_named { own } else { Topics { actor: "*".to_owned(), ..own } }
     }

@@ -6,9 +6,8 @@ use clap::Args;
 use serde_json::json;
 
 use super::Ended;
-use super::failure::Exit;
 use super::overwrite::Overwrite;
-use super::solve::Progress;
+use super::solve::{Progress, lost};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::calibration::OFFSET_REACH;
@@ -69,7 +68,7 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
-        arguments.overwrite.check(out)?;
+        arguments.overwrite.check_beside(&arguments.file, out)?;
     }
     let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     let mut recording = Recording::open(&arguments.file)?;
@@ -77,7 +76,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let mut bar = Progress(progress(recording.messages(), "messages"));
     let found = check_cameras(&mut recording, &options, !arguments.time_only, &mut bar)?;
     bar.0.finish_and_clear();
-    recording.silent_note().iter().for_each(|note| complain("note", note));
+    let told = recording.silent_note().into_iter().chain(recording.rig_note());
+    told.for_each(|note| complain("note", &note));
     for note in &found.notes {
         complain("note", &format!("{note}; no calibration can correct it, `solve` does"));
     }
@@ -101,7 +101,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         write_calibration(out, &found.rig, arguments.up)?;
     }
-    Ok(Exit::Done)
+    Ok(lost(&recording))
 }
 
 fn offset(found: &CameraOffset) -> (String, String) {
@@ -137,7 +137,12 @@ fn conclusion(found: &CheckedCameras) -> String {
     let mut changes: Vec<String> =
         corrected.map(|camera| format!("{} corrected", camera.camera)).collect();
     changes.extend(shifted.map(|offset| format!("{} shifted by {offset}", offset.camera)));
+    let is_judged = |one: &CameraCorrection| one.correction.disagreement_px[0].is_some();
     match changes.is_empty() {
+        true if !found.corrections.is_empty() && !found.corrections.iter().any(is_judged) => {
+            "the calibration is not judged: at least three cameras must see the performer"
+                .to_owned()
+        }
         true => "nothing to correct".to_owned(),
         false => changes.join(", "),
     }

@@ -8,7 +8,7 @@ use serde_json::json;
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::rig::ConventionArguments;
-use super::solve::Progress;
+use super::solve::{Progress, lost};
 use super::terminal::{complain, progress, say};
 use crate::offline::{self, Recording};
 
@@ -28,7 +28,7 @@ With two cameras it is not known which one is wrong: what would make them agree 
 only a shift of the capture times, one of the two is named. An error is named from about 2 % of the
 performer's height on, an error of a clock from about 1 %.
 
-Exit code 15: with --strict, something is wrong.
+Exit code 6: a part of a recording cannot be read. 15: with --strict, something is wrong.
 
 Examples:
   bundlemocap check take.mcap
@@ -54,15 +54,17 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let rig = arguments.rig.as_deref();
     let rig = rig.map(|rig| super::rig::read(rig, &arguments.convention)).transpose()?;
-    let (mut found, mut wrong) = (Vec::new(), Vec::new());
+    let (mut found, mut wrong, mut exit) = (Vec::new(), Vec::new(), Exit::Done);
     for file in &arguments.files {
-        let mut recording = Recording::open(file)?;
-        if let Some(rig) = &rig {
-            recording = recording.with_rig(rig.clone())?;
-        }
+        let rig = rig.clone().map_or_else(|| arguments.convention.of(file), |rig| Ok(Some(rig)))?;
+        let mut recording = Recording::open_with(file, rig)?;
         let mut bar = Progress(progress(recording.messages(), "messages"));
         let check = offline::check(&mut recording, &mut bar)?;
         bar.0.finish_and_clear();
+        recording.rig_note().iter().for_each(|note| complain("note", note));
+        if lost(&recording) != Exit::Done {
+            exit = Exit::InPart;
+        }
         if !arguments.json {
             if arguments.files.len() > 1 {
                 say(&format!("{}:", file.display()));
@@ -79,7 +81,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
     }
     if wrong.is_empty() || !arguments.strict {
-        return Ok(Exit::Done);
+        return Ok(exit);
     }
     complain("warning", &format!("something is wrong in {}", wrong.join(", ")));
     Ok(Exit::Suspicious)

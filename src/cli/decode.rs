@@ -52,7 +52,7 @@ struct Decoded {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    arguments.overwrite.check(&arguments.out)?;
+    arguments.overwrite.check_beside(&arguments.file, &arguments.out)?;
     let decoder = decoder(arguments.weights.as_deref())?;
     let mut reader = Reader::open(&arguments.file)?;
     let weights = fingerprint(&decoder);

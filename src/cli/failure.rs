@@ -181,6 +181,7 @@ impl From<offline::Error> for Failure {
             E::Recording(error) => return error.into(),
             E::Export(error) => return error.into(),
             E::NoKeypoints { .. } | E::NoRig { .. } => Exit::NotOurs,
+            E::EmptySpan { .. } => Exit::Usage,
             E::KeypointFormat { .. } => Exit::KeypointFormat,
             E::BadRig { .. } | E::ImageSize { .. } | E::Rig { .. } => Exit::BadCalibration,
             E::Uncalibrated { .. } | E::NoSuchCamera { .. } | E::SilentCamera { .. } => {
@@ -201,6 +202,7 @@ impl From<TakeError> for Failure {
         let exit = match error {
             TakeError::Record(error) => return error.into(),
             TakeError::NoKeypoints { .. } => Exit::NotOurs,
+            TakeError::EmptySpan { .. } => Exit::Usage,
             TakeError::UnknownCamera { .. } => Exit::CameraMismatch,
         };
         Self::new(exit, error.to_string())

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use nalgebra::Vector3;
+use tempfile::TempPath;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
@@ -112,7 +113,7 @@ impl From<ImportError> for Failure {
         use ImportError as E;
         let exit = match &error {
             E::Read { .. } => Exit::Unreadable,
-            E::Camera { .. } => Exit::BadCalibration,
+            E::Camera { .. } | E::NoImageSize { .. } => Exit::BadCalibration,
             E::NoCameraFolders { .. } | E::NoPeople { .. } => Exit::NoDetections,
             E::CameraWithoutCalibration { .. } | E::CalibrationWithoutCamera { .. } => {
                 Exit::CameraMismatch
@@ -149,12 +150,12 @@ impl Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let path = arguments.folder()?;
-    arguments.overwrite.check(&arguments.out)?;
+    arguments.overwrite.check_beside(&arguments.calibration, &arguments.out)?;
     let order = arguments.format.as_deref().map(PointOrder::named).transpose()?;
     let fps = frame_rate(arguments, path)?;
     let (cameras, convention) = (arguments.camera.clone(), arguments.convention.clone());
     let attempt = Attempt { fps, order, cameras, convention };
-    let mut best = Imported::of(arguments, path, &arguments.out, attempt)?;
+    let mut best = Imported::of(arguments, path, attempt)?;
     best.exchange(arguments, path)?;
     best.measure(arguments, path)?;
     // Several orders have as many points: the one with which the cameras agree.
@@ -167,9 +168,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             best.measure(arguments, path)?;
         }
     }
-    tell(&arguments.calibration, &best.calibration);
+    let calibration = best.calibration.clone();
+    tell(&arguments.calibration, &calibration);
     best.tell(&arguments.camera);
-    say(&format!("{}: {} frames", arguments.out.display(), best.folder.frame_count()));
+    let frames = best.folder.frame_count();
+    best.file.persist(&arguments.out).map_err(|error| unwritable(arguments, &error.error))?;
+    say(&format!("{}: {frames} frames", arguments.out.display()));
     Ok(Exit::Done)
 }
 
@@ -222,8 +226,13 @@ struct Attempt {
     convention: ConventionArguments,
 }
 
-/// A recording that was written.
+fn unwritable(arguments: &Arguments, error: &std::io::Error) -> Failure {
+    Failure::new(Exit::Unexpected, format!("{}: {error}", arguments.out.display()))
+}
+
+/// A recording that was written, beside its place.
 struct Imported {
+    file: TempPath,
     /// Its cameras.
     calibration: Calibration,
     folder: DetectionFolder,
@@ -233,12 +242,9 @@ struct Imported {
 }
 
 impl Imported {
-    fn of(
-        arguments: &Arguments,
-        path: &Path,
-        out: &Path,
-        attempt: Attempt,
-    ) -> Result<Self, Failure> {
+    fn of(arguments: &Arguments, path: &Path, attempt: Attempt) -> Result<Self, Failure> {
+        let file = temporary(&arguments.out);
+        let file = file.map_err(|error| unwritable(arguments, &error))?.into_temp_path();
         let calibration = attempt.convention.read(&arguments.calibration)?;
         let rig = &calibration.rig;
         let options = DetectionOptions {
@@ -251,7 +257,7 @@ impl Imported {
         };
         let mut folder = DetectionFolder::open(path, rig, options)?;
         let provenance = provenance(arguments, path, &attempt);
-        let mut writer = Writer::create(out, Topics::default(), &provenance)?;
+        let mut writer = Writer::create(&file, Topics::default(), &provenance)?;
         let bar = progress(folder.frame_count(), "frames");
         let mut has_rig = false;
         for detections in folder.by_ref() {
@@ -269,8 +275,16 @@ impl Imported {
             folder.notes().iter().for_each(|note| complain("note", note));
             return Err(ImportError::NoPeople { path: path.to_owned() }.into());
         }
+        for (pair, _) in folder.matches().iter().zip(folder.reports()).filter(|(_, one)| one.shares)
+        {
+            let camera = &rig.cameras[pair.camera].name;
+            if calibration.without_size.contains(camera) {
+                let (path, camera) = (arguments.calibration.clone(), camera.clone());
+                return Err(ImportError::NoImageSize { path, camera }.into());
+            }
+        }
         writer.finish()?;
-        let check = check(out).map(|mut check| {
+        let check = check(&file).map(|mut check| {
             // The folder's notes say which cameras have no files.
             for (index, camera) in check.cameras.iter_mut().enumerate() {
                 if folder.matches().iter().all(|pair| pair.camera != index) {
@@ -279,7 +293,7 @@ impl Imported {
             }
             check
         });
-        Ok(Self { calibration, folder, attempt, check })
+        Ok(Self { file, calibration, folder, attempt, check })
     }
 
     /// What is wrong with the cameras.
@@ -303,16 +317,11 @@ impl Imported {
         if now == 0.0 {
             return Ok(false);
         }
-        let unwritable = |error: std::io::Error| {
-            Failure::new(Exit::Unexpected, format!("{}: {error}", arguments.out.display()))
-        };
-        let beside = temporary(&arguments.out).map_err(unwritable)?.into_temp_path();
         // If that fails, the first recording stays.
-        let Ok(again) = Self::of(arguments, path, &beside, attempt) else { return Ok(false) };
+        let Ok(again) = Self::of(arguments, path, attempt) else { return Ok(false) };
         let agrees = again.check.as_ref().is_ok_and(Check::agrees);
         let is_better = agrees && of(&again) < now;
         if is_better {
-            beside.persist(&arguments.out).map_err(|error| unwritable(error.error))?;
             *self = again;
         }
         Ok(is_better)

@@ -23,6 +23,21 @@ impl Overwrite {
         let message = format!("{} exists; choose another name, or use --overwrite", path.display());
         Err(Failure::new(Exit::Usage, message))
     }
+
+    /// The same for a command that reads `input`: that file is never replaced.
+    pub(crate) fn check_beside(self, input: &Path, path: &Path) -> Result<(), Failure> {
+        is_no_input(input, path)?;
+        self.check(path)
+    }
+}
+
+/// Fails if the file to write is the input.
+pub(crate) fn is_no_input(input: &Path, path: &Path) -> Result<(), Failure> {
+    if !is_same_file(input, path) {
+        return Ok(());
+    }
+    let message = format!("{} is the input; choose another name", path.display());
+    Err(Failure::new(Exit::Usage, message))
 }
 
 /// Whether two paths lead to the same existing file.

@@ -70,7 +70,7 @@ impl From<ReplayError> for Failure {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
-        arguments.overwrite.check(out)?;
+        arguments.overwrite.check_beside(&arguments.file, out)?;
     }
     let (messages, take) = read(&arguments.file)?;
     let of_file = |failure: Failure| {

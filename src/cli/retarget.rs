@@ -10,7 +10,7 @@ use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
 use super::export::{Solved, file_start, first_pose, frame_from, path_of, read};
 use super::failure::{Exit, Failure};
-use super::overwrite::{Overwrite, is_same_file};
+use super::overwrite::{Overwrite, is_no_input, is_same_file};
 use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
 use super::span::Times;
@@ -110,7 +110,9 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
     let Solved { performers, damage } = read(from, false, arguments.bus.actor())?;
     let several = performers.len() > 1;
     for Motion { actor, .. } in &performers {
-        arguments.overwrite.check(&path_of(out, several.then_some(actor)))?;
+        let path = path_of(out, several.then_some(actor));
+        is_no_input(&arguments.skeleton, &path)?;
+        arguments.overwrite.check_beside(from, &path)?;
     }
     let take = Times::of(from, None)?.first;
     let start =
@@ -164,9 +166,8 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     let topics = arguments.bus.topics(&config);
     if let Some(out) = arguments.out.as_deref().filter(|_| topics.actor == "*") {
         // The performers are not known yet.
-        let files = files_of_performers(out).into_iter();
-        for path in files.filter(|path| !is_same_file(path, &arguments.skeleton)) {
-            arguments.overwrite.check(&path)?;
+        for path in files_of_performers(out) {
+            arguments.overwrite.check_beside(&arguments.skeleton, &path)?;
         }
     }
     let bus = open(&config)?;

@@ -147,6 +147,18 @@ impl ConventionArguments {
         Ok(read_calibration(path, &convention)?)
     }
 
+    /// The rig of a recording, read in this way; `None` if nothing was given.
+    pub(super) fn of(&self, recording: &Path) -> Result<Option<Rig>, Failure> {
+        if self.words().is_empty() {
+            return Ok(None);
+        }
+        // As if it was a file of a calibration.
+        let file = tempfile::Builder::new().suffix(".toml").tempfile();
+        let file = file.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?;
+        write_calibration(file.path(), &own_rig(recording)?, Up::Y)?;
+        Ok(Some(self.read(file.path())?.rig))
+    }
+
     /// As words of a command, each with a space before it; empty if nothing was given.
     pub(super) fn words(&self) -> String {
         let Self { up, unit, poses, set } = self;
@@ -182,7 +194,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 
 fn run_convert(arguments: &Convert) -> Ended {
     let format = arguments.format.map_or_else(|| Format::of(&arguments.out), Ok)?;
-    arguments.overwrite.check(&arguments.out)?;
+    arguments.overwrite.check_beside(&arguments.file, &arguments.out)?;
     let rig = of_file(&arguments.file, &arguments.convention)?;
     if matches!(format, Format::Opencv)
         && rig.cameras.iter().any(|camera| camera.time_offset.ns() != 0)
@@ -202,7 +214,7 @@ fn run_convert(arguments: &Convert) -> Ended {
 
 fn run_show(arguments: &Show) -> Ended {
     if let Some(out) = &arguments.out {
-        arguments.overwrite.check(out)?;
+        arguments.overwrite.check_beside(&arguments.file, out)?;
     }
     let rig = of_file(&arguments.file, &arguments.convention)?;
     say(&table(&rig.cameras.iter().map(row).collect::<Vec<_>>()));
@@ -218,6 +230,11 @@ fn of_file(path: &Path, how: &ConventionArguments) -> Result<Rig, Failure> {
     if !is_recording(path) {
         return read(path, how);
     }
+    how.of(path)?.map_or_else(|| own_rig(path), Ok)
+}
+
+/// The rig of a recording.
+fn own_rig(path: &Path) -> Result<Rig, Failure> {
     let rig = summary(path)?.first_rig.ok_or_else(|| {
         let what = format!("{} holds no calibration of cameras", path.display());
         Failure::new(Exit::NotOurs, what)

@@ -1,6 +1,6 @@
 //! `bundlemocap solve`
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,23 +10,28 @@ use indicatif::ProgressBar;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
-use super::rig::ConventionArguments;
+use super::overwrite::is_no_input;
+use super::rig::{ConventionArguments, read as read_rig};
 use super::settings::changed;
 use super::span::{SpanArguments, Times};
 use super::stage::StageArguments;
-use super::terminal::{complain, progress, say, table};
+use super::terminal::{complain, note, progress, say, table};
 use crate::config::Config;
 use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
 use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
+use crate::core::time::Timestamp;
 use crate::io::formats::{MarkerMap, Trajectories, calibration_files, read_trajectories};
 use crate::io::recording::last_body;
 use crate::offline::output::{files, of_performer};
 use crate::offline::{
     Group, NewCompanion, Observer, Options, PerformerSummary, Recording, Summary, solve_group,
 };
+
+/// What a file of a known body is for, before the name.
+pub(super) const BODY_OF: &str = "body of ";
 
 /// Solve a recording: 2D keypoints in, smooth 3D poses out.
 #[derive(Debug, Args)]
@@ -268,11 +273,22 @@ impl Prepared {
         let read = |path: &PathBuf| read_trajectories(path, map.as_ref());
         let references = arguments.reference.iter().map(read).collect::<Result<_, _>>()?;
         let rig = arguments.rig.as_deref();
-        let rig = rig.map(|rig| arguments.convention.read(rig)).transpose()?;
-        let rig = rig.map(|read| read.rig);
+        let rig = rig.map(|rig| read_rig(rig, &arguments.convention)).transpose()?;
         // A wrong file is said before the first take is solved.
         config.known_people()?;
         Ok(Self { config, decoder, body: body.map(Arc::new), references, rig })
+    }
+
+    /// The files of known bodies that are there now, by what they are for.
+    pub(super) fn bodies(&self) -> BTreeMap<String, PathBuf> {
+        let files = self.config.bodies_folder().and_then(|folder| std::fs::read_dir(folder).ok());
+        let files = files.into_iter().flatten().flatten().map(|entry| entry.path());
+        let body = |file: PathBuf| {
+            let name = file.file_stem()?.to_string_lossy().into_owned();
+            let is_body = file.extension().is_some_and(|ending| ending == "mcap");
+            is_body.then(|| (format!("{BODY_OF}{name}"), file))
+        };
+        files.filter_map(body).collect()
     }
 
     /// All that changes a solve beside its files.
@@ -306,10 +322,10 @@ impl Prepared {
         bar: impl FnOnce(u64) -> ProgressBar,
     ) -> Result<Solved, Failure> {
         let performers = self.config.stage.performers;
-        let mut recording = Recording::open(file)?;
-        if let Some(rig) = &self.rig {
-            recording = recording.with_rig(rig.clone())?;
-        }
+        is_no_input(file, &out.join("poses.mcap"))?;
+        let rig =
+            self.rig.clone().map_or_else(|| arguments.convention.of(file), |rig| Ok(Some(rig)))?;
+        let mut recording = Recording::open_with(file, rig)?;
         let times = Times::of(file, Some(&self.config))?;
         let span = arguments.span.within(&times)?;
         recording = recording.within(span);
@@ -337,16 +353,43 @@ impl Prepared {
         let mut progress = Progress(bar(options.passes() * recording.messages()));
         let group = solve_group(&mut recording, &options, &mut progress)?;
         progress.0.finish_and_clear();
+        let names = group.performers.iter().map(|one| one.performer.clone());
+        remove_others(out, &files(&names.collect::<Vec<_>>(), performers));
         if let Some(folder) = self.config.bodies_folder() {
             for (name, file) in group.write_bodies(folder)? {
-                say(&format!("the body of {name} is written to {}", file.display()));
+                note(&format!("the body of {name} is written to {}", file.display()));
             }
         }
         for one in &group.performers {
             let bvh = out.join(of_performer(&one.performer, performers, "bvh"));
-            times.beside(&bvh, span.map(|[start, _]| start))?;
+            let first = one.summary.first_capture_time_ns.map(Timestamp::from_ns);
+            times.beside(&bvh, first.or(span.map(|[start, _]| start)))?;
         }
         Ok(Solved::of(file, group, performers))
+    }
+}
+
+/// Says what was lost of a recording that was read.
+pub(super) fn lost(recording: &Recording) -> Exit {
+    let losses = recording.losses();
+    if losses.is_empty() {
+        return Exit::Done;
+    }
+    complain("warning", &format!("{}: {}", recording.path().display(), losses.join("; ")));
+    Exit::InPart
+}
+
+/// Removes the files of performers of an earlier solve: a new one may have others.
+fn remove_others(out: &Path, files: &[String]) {
+    let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
+    for entry in entries {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let is_ours = name.starts_with("poses.")
+            && [".bvh", ".states.csv", ".timecode.txt"].iter().any(|ending| name.ends_with(ending));
+        if is_ours && !files.contains(&name) {
+            // What cannot be removed stays.
+            drop(std::fs::remove_file(entry.path()));
+        }
     }
 }
 

@@ -187,15 +187,20 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             return Err(Failure::new(Exit::Usage, why));
         }
     }
-    let config = arguments.bus.settings()?;
-    let bus = open(&config)?;
-    if arguments.action == Action::Note && take.note.is_empty() && take.mark.is_empty() {
-        return Err(Failure::new(Exit::Usage, "note needs --note, --mark, or both"));
+    let is_noted = !(take.note.is_empty() && take.mark.is_empty());
+    if (arguments.action == Action::Note) != is_noted {
+        let why = match is_noted {
+            true => "--note and --mark are for note: bundlemocap take note NAME --mark good",
+            false => "note needs --note, --mark, or both",
+        };
+        return Err(Failure::new(Exit::Usage, why));
     }
     let is_shown = !(take.display_name.is_empty() && take.colour.is_empty());
     if arguments.action != Action::Label && is_shown {
         return Err(Failure::new(Exit::Usage, "--display-name and --colour are for label"));
     }
+    let config = arguments.bus.settings()?;
+    let bus = open(&config)?;
     let mut slate = Slate::open(&*bus, &topics(&config))?;
     std::thread::sleep(LEAD);
     let answers = answered(&mut slate, take, arguments.action.roles())?;

@@ -255,6 +255,18 @@ impl<'a> Scene<'a> {
         Some((0..self.cameras()).map(support).collect())
     }
 
+    /// Number of instants at which no two of the cameras that agree do, and of those at which two see somebody.
+    pub(super) fn disagreeing(&self, consensus: &Consensus) -> [usize; 2] {
+        let is_seen = |at: &&usize| {
+            let views = self.views[**at].iter().zip(&consensus.members);
+            views.filter(|(views, member)| **member && !views.is_empty()).count() >= 2
+        };
+        let all: Vec<usize> = (0..self.instants.len()).collect();
+        let seen = all.iter().filter(is_seen);
+        let is_none = |at: &&usize| consensus.people[**at].iter().all(Option::is_none);
+        [seen.clone().filter(is_none).count(), seen.count()]
+    }
+
     /// The points of the members at each instant, without one camera if two others are left.
     pub(super) fn points(&self, consensus: &Consensus, without: Option<usize>) -> Vec<Points> {
         let is_member = |i: &usize| consensus.members[*i];

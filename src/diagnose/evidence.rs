@@ -1,5 +1,6 @@
 //! What the cameras saw of the performers, to judge the cameras by.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::footage::Footage;
@@ -14,6 +15,8 @@ const PERFORMERS: usize = 4;
 /// People of a frame that are kept, the largest: of single people with bystanders, and of crowds.
 const MOST_PEOPLE: usize = 3;
 const MOST_OF_CROWD: usize = 10;
+/// Frames that are kept before the first one with several people.
+const MOST_EARLY: usize = 1 << 15;
 /// Below this part of frames with several people, they are not told from each other.
 const SEVERAL: f64 = 0.02;
 /// Frames that a late camera is waited for: nobody is in a hurry.
@@ -49,6 +52,8 @@ pub struct Evidence {
     period: Option<FramePeriod>,
     /// `None` as long as no frame has several people.
     crowd: Option<Crowd>,
+    /// The frames so far, as long as there is no crowd: somebody else may come.
+    early: VecDeque<Detections>,
     /// The largest people in each view, and everybody.
     largest: Footage,
     everybody: Footage,
@@ -66,6 +71,7 @@ impl Evidence {
             config: Config { deadline_frames: config.deadline_frames.max(PATIENCE), ..config },
             period,
             crowd: None,
+            early: VecDeque::new(),
             largest: Footage::new(cameras, MOST_PEOPLE),
             everybody: Footage::new(cameras, MOST_OF_CROWD),
             with_people: vec![0; cameras],
@@ -89,7 +95,21 @@ impl Evidence {
         if people > 1 && self.crowd.is_none() {
             let rig = Arc::clone(&self.rig);
             self.crowd = Some(Crowd::new(rig, self.config, Performers::Auto, self.period));
+            for frame in std::mem::take(&mut self.early) {
+                self.add_to_crowd(&frame);
+            }
         }
+        if self.crowd.is_some() {
+            self.add_to_crowd(frame);
+            return;
+        }
+        self.early.push_back(frame.clone());
+        if self.early.len() > MOST_EARLY {
+            self.early.pop_front();
+        }
+    }
+
+    fn add_to_crowd(&mut self, frame: &Detections) {
         if let Some(crowd) = &mut self.crowd {
             self.everybody.add(frame);
             crowd.add(frame.clone());

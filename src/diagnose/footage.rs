@@ -39,6 +39,8 @@ const BODY_POINTS: usize = 26;
 const SECTION: Nanos = Nanos::from_ms(4000);
 const MOST_SECTIONS: i64 = 12;
 const FIRST_SECTIONS: i64 = 6;
+/// A single frame that is so far ahead of those around it is stray.
+const STRAY: Nanos = Nanos::from_ms(1000);
 /// Frames between two compared ones.
 pub(super) const APART: usize = 15;
 /// Frames before and after a frame that tell how much the performer moves.
@@ -90,9 +92,10 @@ pub(super) struct Frame {
 pub(super) struct Track {
     /// In order of capture time.
     pub(super) frames: Vec<Frame>,
-    /// Number of all frames, and of those that came out of order.
+    /// Number of all frames, of those that came out of order, and of those with the time of the one before.
     pub(super) count: usize,
     pub(super) disordered: usize,
+    pub(super) doubled: usize,
     /// Number of all points, and of those with a confidence above 1.
     pub(super) points: usize,
     pub(super) percent: usize,
@@ -107,6 +110,19 @@ fn section(capture: Timestamp) -> i64 {
 }
 
 impl Track {
+    /// The last frame is forgotten if it is far ahead of the one before and of the next one. Returns whether it is.
+    fn drop_stray(&mut self, next: Timestamp) -> bool {
+        let before = self.frames.len().checked_sub(2).map(|at| self.frames[at].capture);
+        let is_stray =
+            |last: &Frame| last.capture - next > STRAY && before.is_none_or(|before| before < next);
+        if !self.frames.last().is_some_and(is_stray) {
+            return false;
+        }
+        self.frames.pop();
+        self.span = self.span.zip(before).map(|([first, _], before)| [first, before]);
+        true
+    }
+
     /// The median time between two frames.
     pub(super) fn period(&self) -> Option<Nanos> {
         let gaps = self.frames.windows(2).map(|pair| (pair[1].capture - pair[0].capture).ns());
@@ -154,9 +170,15 @@ impl Footage {
     pub fn add(&mut self, frame: &Detections) {
         let Some(track) = self.tracks.get_mut(frame.camera) else { return };
         track.count += 1;
-        if track.span.is_some_and(|[_, last]| frame.capture <= last) {
-            track.disordered += 1;
+        if track.span.is_some_and(|[_, last]| frame.capture == last) {
+            track.doubled += 1;
             return;
+        }
+        if track.span.is_some_and(|[_, last]| frame.capture < last) {
+            track.disordered += 1;
+            if !track.drop_stray(frame.capture) {
+                return;
+            }
         }
         let first = track.span.map_or(frame.capture, |[first, _]| first);
         track.span = Some([first, frame.capture]);
@@ -216,7 +238,7 @@ impl Footage {
         let common = |own: [Timestamp; 2]| {
             spans.iter().flatten().filter(|other| overlap(own, **other)).count()
         };
-        let frames = |track: &Track| track.count - track.disordered;
+        let frames = |track: &Track| track.count - track.disordered - track.doubled;
         let all = self.tracks.iter().zip(cameras).zip(&spans);
         let all = all.filter_map(|(both, span)| Some((both, common((*span)?))));
         let Some(((longest, camera), _)) =

@@ -44,6 +44,8 @@ const MOST_OPTIONS: usize = 3;
 const MOST_OF_TWO: i64 = 300;
 const ONE_SHIFT: f64 = 3.0;
 const ALIKE: f64 = 1.5;
+/// The frame periods of two cameras are one if their logarithms differ by less.
+const SAME_RATE: f64 = 0.05;
 
 /// The cameras without their faults.
 #[derive(Clone, Debug)]
@@ -375,6 +377,9 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
     options.sort_by(|a, b| a.error.total_cmp(&b.error));
     let least = options.first().map_or(0.0, |best| best.error);
     options.retain(|option| option.error <= ALIKE * least);
+    // At different rates, one of them may be wrong.
+    let [one, other] = two.map(|camera| scene.periods[camera].ns() as f64);
+    let is_one_rate = (one / other).ln().abs() < SAME_RATE;
     // Only their clocks can be wrong, by one shift. Which of the two is shifted is the same.
     let shift = |option: &Alternative| {
         let (camera, hypothesis) = option.shift.as_ref()?;
@@ -386,6 +391,7 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
         && let Some((camera, hypothesis)) = &best.shift
         && let Some(frames) = shift(best)
         && best.error < hypothesis.weight * FITS
+        && is_one_rate
         && options.iter().all(|one| shift(one).is_some_and(|s| (s - frames).abs() <= ONE_SHIFT))
     {
         let scene = scene.with_one(*camera, hypothesis.reading.clone());
@@ -394,7 +400,10 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
         let consensus = best.consensus.clone();
         return Some(Judged { scene, consensus, findings, general: Vec::new() });
     }
-    let disagrees = disagreement.is_none_or(|error| error > DISAGREE) || !options.is_empty();
+    // They may never see somebody at one time.
+    let are_there = |at: &Vec<Vec<_>>| two.iter().all(|camera| !at[*camera].is_empty());
+    let disagrees = scene.views.iter().any(are_there)
+        && (disagreement.is_none_or(|error| error > DISAGREE) || !options.is_empty());
     let consensus = options.first().map(|option| option.consensus.clone());
     let consensus = now.map(|now| now.2).or(consensus);
     let texts: Vec<String> =

@@ -47,6 +47,8 @@ const INSTANTS: usize = 60;
 const LOOSELY_PERCENT: f64 = 60.0;
 /// A check in which fewer points agree does not clear a camera that another check finds wrong.
 const LEAST_PERCENT: f64 = 30.0;
+/// Cameras that agree do so at all but this part of the times at which two of them see somebody.
+const MOST_DISAGREEING: f64 = 0.2;
 /// The order of the keypoints is wrong if another one makes the limbs this much less strange.
 const LESS_STRANGE: f64 = 0.5;
 /// Faults that only somebody who moves shows.
@@ -177,7 +179,7 @@ impl Check {
         }
         let rank = |one: &CameraCheck| {
             let share = one.agreeing_percent.unwrap_or(0.0);
-            (one.findings.is_empty() && share >= LEAST_PERCENT, share)
+            (one.findings.is_empty() && share >= LEAST_PERCENT, !one.findings.is_empty(), share)
         };
         let both = self.cameras.into_iter().zip(other.cameras);
         let better = |(a, b)| if rank(&b) > rank(&a) { b } else { a };
@@ -186,7 +188,8 @@ impl Check {
 
     /// Whether the cameras agree on somebody.
     pub fn agrees(&self) -> bool {
-        !self.finds("disagree") && !self.finds("no_agreement")
+        let is_judged = self.cameras.iter().any(|camera| camera.agreeing_percent.is_some());
+        is_judged && !self.finds("disagree") && !self.finds("no_agreement")
     }
 }
 
@@ -260,7 +263,9 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             "no two cameras agree on a person, whatever is tried",
             "is it the calibration of this take, and do the cameras share a clock?",
         );
-        let findings = vec![finding];
+        // Of two cameras, what is wrong with one explains it.
+        let is_explained = cameras.len() == 2 && cameras.iter().any(|row| !row.findings.is_empty());
+        let findings = if is_explained { Vec::new() } else { vec![finding] };
         let (performer_height_m, performer_up, strangeness) = (None, None, None);
         return Check { performer_height_m, performer_up, cameras, findings, strangeness };
     };
@@ -276,6 +281,10 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             row.agreeing_percent = Some(100.0 * fit.share);
             row.mean_error = Some(fit.mean);
         }
+        if row.findings.is_empty() && !consensus.members[camera] {
+            let is_member = |other: usize| consensus.members[other];
+            row.findings.extend(order::away(frames, &rig.cameras, camera, is_member));
+        }
         // A camera whose frames are wrong by themselves disagrees because of that.
         if let Some(finding) = findings[camera].as_ref().filter(|_| row.findings.is_empty()) {
             row.findings.push(finding.clone());
@@ -288,6 +297,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
     }
     let points = fixed.points(consensus, None);
     let mut general = general.clone();
+    general.extend(disagreeing(fixed, consensus));
     // Two cameras that disagree show no performer.
     if general.iter().all(|finding| finding.cause != "disagree") {
         general.extend(performer::findings(&points, consensus.count()));
@@ -298,6 +308,19 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
     }
     let (performer_height_m, performer_up) = (performer::height_m(&points), performer::up(&points));
     Check { performer_height_m, performer_up, cameras, findings: general, strangeness }
+}
+
+/// No two cameras agree in a part of the recording, although they see somebody.
+fn disagreeing(scene: &Scene, consensus: &consensus::Consensus) -> Option<Finding> {
+    let [none, all] = scene.disagreeing(consensus);
+    eprintln!("DISAGREEING {none} of {all}");
+    (none as f64 > MOST_DISAGREEING * all as f64).then(|| {
+        let what = format!(
+            "at {} % of the times at which cameras see somebody, no two of them agree",
+            100 * none / all.max(1)
+        );
+        Finding::new("disagree_at_times", what, "was a camera moved, or is it another person?")
+    })
 }
 
 /// Whether the limbs are less strange in the order of another format with as many points. `now`: how strange they are.

@@ -6,6 +6,7 @@ use super::hypotheses::Finding;
 use crate::core::camera::Camera;
 use crate::core::detections::Keypoint as K;
 use crate::core::points::median;
+use crate::core::time::{Nanos, Timestamp};
 
 /// A share of frames that equal the one before. Detections of moving images always differ.
 const REPEATED: f64 = 0.3;
@@ -17,6 +18,8 @@ const ALIKE: f64 = 0.75;
 const TOGETHER: f64 = 0.4;
 const NEIGHBOURS: [[K; 2]; 4] =
     [[K::LElbow, K::LWrist], [K::RElbow, K::RWrist], [K::LKnee, K::LAnkle], [K::RKnee, K::RAnkle]];
+/// Slower cameras do not show how somebody moves from frame to frame.
+const SLOW: Nanos = Nanos::from_ms(150);
 /// Fewer frames say nothing.
 const LEAST_FRAMES: usize = 20;
 
@@ -32,6 +35,7 @@ pub(super) fn findings(
     let all = [
         absent(footage, cameras, camera),
         disordered(track),
+        doubled(track),
         repeated(alone),
         shuffled(alone).then(|| {
             let what = "its frames are not in the order of time: one step is as long as many";
@@ -42,19 +46,32 @@ pub(super) fn findings(
     all.into_iter().flatten().collect()
 }
 
-fn absent(footage: &Footage, cameras: &[Camera], camera: usize) -> Option<Finding> {
+/// The capture times of a camera are not those of any of the others.
+pub(super) fn away(
+    footage: &Footage,
+    cameras: &[Camera],
+    camera: usize,
+    is_other: impl Fn(usize) -> bool,
+) -> Option<Finding> {
     let spans = footage.spans(cameras);
-    let Some(own) = spans[camera] else {
+    let own = spans[camera]?;
+    let others = (0..spans.len()).filter(|&other| other != camera && is_other(other));
+    let others: Vec<[Timestamp; 2]> = others.filter_map(|other| spans[other]).collect();
+    if others.iter().any(|other| overlap(own, *other)) {
+        return None;
+    }
+    let mut away: Vec<f64> = others.iter().map(|[start, _]| own[0].seconds_since(*start)).collect();
+    let what =
+        format!("its capture times are {:+.3} s from those of the others", median(&mut away)?);
+    Some(Finding::new("clock", what, "set its clock, or shift its capture times"))
+}
+
+fn absent(footage: &Footage, cameras: &[Camera], camera: usize) -> Option<Finding> {
+    if footage.spans(cameras)[camera].is_none() {
         return Some(Finding::new("no_frames", "it has no frames", "record or import them"));
-    };
-    let others = spans.iter().enumerate().filter(|(other, _)| *other != camera);
-    let others = || others.clone().filter_map(|(_, span)| *span);
-    if others().all(|other| !overlap(own, other)) {
-        let mut away: Vec<f64> = others().map(|[start, _]| own[0].seconds_since(start)).collect();
-        if let Some(seconds) = median(&mut away) {
-            let what = format!("its capture times are {seconds:+.3} s from those of the others");
-            return Some(Finding::new("clock", what, "set its clock, or shift its capture times"));
-        }
+    }
+    if let Some(finding) = away(footage, cameras, camera, |_| true) {
+        return Some(finding);
     }
     let frames = &footage.tracks[camera].frames;
     (!frames.is_empty() && frames.iter().all(|frame| frame.people.is_empty())).then(|| {
@@ -68,6 +85,14 @@ fn disordered(track: &Track) -> Option<Finding> {
         let (bad, all) = (track.disordered, track.count);
         let what = format!("{bad} of its {all} frames are not after the one before");
         Finding::new("capture_order", what, "sort the recording by capture time")
+    })
+}
+
+fn doubled(track: &Track) -> Option<Finding> {
+    (10 * track.doubled > track.count).then(|| {
+        let (bad, all) = (track.doubled, track.count);
+        let what = format!("{bad} of its {all} frames have the capture time of the one before");
+        Finding::new("duplicates", what, "are they there twice? record or import each once")
     })
 }
 
@@ -104,6 +129,9 @@ fn correlation(track: &Track) -> f64 {
 
 /// Whether one step is as long as many, although the performer moves.
 fn shuffled(track: &Track) -> bool {
+    if track.period().is_none_or(|period| period > SLOW) {
+        return false;
+    }
     let step = |apart: usize| {
         let pairs = track.frames.iter().zip(track.frames.iter().skip(apart));
         let moved = pairs.filter_map(|(a, b)| {

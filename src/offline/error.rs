@@ -54,6 +54,8 @@ pub enum Error {
     SilentCamera { path: PathBuf, camera: String },
     #[error("{}: camera {camera}: {reason}", path.display())]
     TimeUnit { path: PathBuf, camera: String, reason: String },
+    #[error("{} has no keypoints from --start to --end", path.display())]
+    EmptySpan { path: PathBuf },
     #[error("{}: nobody was found: {evidence}", path.display())]
     NobodyFound { path: PathBuf, evidence: String },
     #[error("all takes are too short to estimate a body; give longer ones")]

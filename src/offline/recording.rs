@@ -37,6 +37,10 @@ pub struct Recording {
     span: Option<[Timestamp; 2]>,
     /// What is wrong with the capture times of cameras, by name; it is corrected.
     wrong_times: BTreeMap<String, Vec<WrongTimes>>,
+    /// Its first calibration, if that is used.
+    own_rig: Option<wire::Rig>,
+    /// Number of later ones with other cameras, in what was read.
+    other_rigs: usize,
 }
 
 /// A camera with more than this part of the fastest one's frames is as fast.
@@ -62,13 +66,22 @@ impl Recording {
     /// A file that cannot be read, a recording of another program, missing keypoints or rig, a
     /// camera that is not in the rig or has images of another size.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
+        Self::open_with(path, None)
+    }
+
+    /// The same, with this calibration in place of the recording's, which may be missing or wrong.
+    ///
+    /// # Errors
+    /// As [`Recording::open`].
+    pub fn open_with(path: impl AsRef<Path>, rig: Option<Rig>) -> Result<Self, Error> {
         let mut reader = Reader::open(path)?;
         let info = summarise(&mut reader)?;
         let path = reader.path();
         if info.cameras.is_empty() {
             return Err(without_keypoints(path, &info));
         }
-        let rig = Arc::new(first_rig(path, &info)?);
+        let own_rig = info.first_rig.clone().filter(|_| rig.is_none());
+        let rig = Arc::new(rig.map_or_else(|| first_rig(path, &info), Ok)?);
         let messages = info.topics.values().map(|topic| topic.count).sum();
         let keypoints = wire::KeypointFrame::full_name();
         let (mut frames, mut counts) = (0, BTreeMap::new());
@@ -96,19 +109,11 @@ impl Recording {
             seen,
             span,
             wrong_times,
+            own_rig,
+            other_rigs: 0,
         };
         recording.check_cameras()?;
         Ok(recording)
-    }
-
-    /// Uses another calibration than the recording's.
-    ///
-    /// # Errors
-    /// It does not fit the cameras with keypoints.
-    pub fn with_rig(mut self, rig: Rig) -> Result<Self, Error> {
-        self.rig = Arc::new(rig);
-        self.check_cameras()?;
-        Ok(self)
     }
 
     /// Uses only what was captured in this span, first and last time.
@@ -165,7 +170,7 @@ impl Recording {
             };
             let camera = &self.rig.cameras[index];
             let (detected, calibrated) = (info.image_size, [camera.width, camera.height]);
-            if !detected.contains(&0) && detected != calibrated {
+            if !detected.contains(&0) && !camera.is_of_size(detected) {
                 let camera = name.clone();
                 return Err(Error::ImageSize { path: path(), camera, calibrated, detected });
             }
@@ -222,6 +227,22 @@ impl Recording {
 
     fn is_silent(&self, camera: &Camera) -> bool {
         self.is_whole && !self.seen.contains_key(&camera.name)
+    }
+
+    /// What to say if the calibration changed while it was recorded; after it was read.
+    pub fn rig_note(&self) -> Option<String> {
+        (self.other_rigs > 0).then(|| {
+            format!(
+                "the calibration changes {} times in the recording, and only the first one is used: \
+                 take the parts with --start, --end and --rig",
+                self.other_rigs
+            )
+        })
+    }
+
+    /// What was lost of it when it was read last.
+    pub fn losses(&self) -> Vec<String> {
+        self.reader.report().losses()
     }
 
     /// The calibrated cameras without keypoints.
@@ -295,6 +316,8 @@ impl Recording {
         mut take: impl FnMut(Item) -> Result<(), Error>,
     ) -> Result<Report, Error> {
         self.reader.rewind()?;
+        self.other_rigs = 0;
+        let (mut last_rig, mut is_empty) = (self.own_rig.clone(), true);
         // The held-out cameras follow the others.
         let cameras: Vec<&Camera> = rig.cameras.iter().chain(held_out).collect();
         let offsets: Vec<_> = cameras.iter().map(|camera| camera.time_offset).collect();
@@ -319,6 +342,14 @@ impl Recording {
                     Some(right + offsets[index])
                 }
                 Message::TruthPose(pose) => Some(Timestamp::from_ns(pose.capture_time_ns)),
+                Message::Rig(rig) => {
+                    if let Some(last) = last_rig.as_mut().filter(|last| last.cameras != rig.cameras)
+                    {
+                        last.clone_from(rig);
+                        self.other_rigs += 1;
+                    }
+                    None
+                }
                 _ => None,
             };
             let is_out = |[first, last]: [Timestamp; 2]| {
@@ -329,6 +360,7 @@ impl Recording {
             }
             let item = match entry.message {
                 Message::Keypoints(frame) => {
+                    is_empty = false;
                     let (percent, solved) = (in_percent(&frame), rig.cameras.len());
                     let held_out = index.and_then(|index| index.checked_sub(solved));
                     let frame = frame.to_core(|_| held_out.or(index));
@@ -357,6 +389,9 @@ impl Recording {
             while let Some(item) = in_order.next(false) {
                 take(item)?;
             }
+        }
+        if is_empty && self.span.is_some() {
+            return Err(Error::EmptySpan { path: self.path().to_owned() });
         }
         while let Some(item) = in_order.next(true) {
             take(item)?;

@@ -101,6 +101,7 @@ pub fn solve_group(
         file,
         evidence: check.as_mut().err(),
         offsets: rig.cameras.iter().map(|camera| camera.time_offset).collect(),
+        starts: vec![None; rig.cameras.len()],
         clock: recording.clock_camera(&rig),
     };
     let report = run.stream(&mut driver, recording, (&rig, &held_out), observer)?;
@@ -136,7 +137,7 @@ pub fn solve_group(
         let states = poses.states.csv();
         let (one, summary) = one.summarise(recording, &rig, skeleton, poses, &report, seconds);
         let mut summary = Summary { time_offsets: offsets.clone(), ..summary };
-        summary.notes.extend(silent.clone());
+        summary.notes.extend(silent.iter().cloned().chain(recording.rig_note()));
         summary.notes.extend(notes.iter().map(|note| format!("{note}; its times are corrected")));
         summary.notes.extend(check.warnings());
         if !options.references.is_empty() {
@@ -265,9 +266,14 @@ struct Run<'file> {
     evidence: Option<&'file mut Evidence>,
     /// The time offsets of the cameras that are solved; the held-out ones follow.
     offsets: Vec<Nanos>,
+    /// The first capture time of each of them.
+    starts: Vec<Option<Timestamp>>,
     /// The camera whose frame numbers are those of the recording.
     clock: usize,
 }
+
+/// A camera that begins so long before most others does not begin the poses.
+const EARLY: Nanos = Nanos::from_ms(1000);
 
 impl Run<'_> {
     fn stream(
@@ -292,22 +298,35 @@ impl Run<'_> {
         Ok(report)
     }
 
+    /// The poses begin with the first frame of the cameras, but for those that begin long before most others.
+    fn begin(&mut self, frame: &Detections) {
+        let own = &mut self.starts[frame.camera];
+        if own.is_some() {
+            return;
+        }
+        *own = Some(frame.capture);
+        let mut all: Vec<Timestamp> = self.starts.iter().flatten().copied().collect();
+        all.sort_unstable();
+        let usual = all[all.len() / 2];
+        let start = all.into_iter().find(|start| usual - *start <= EARLY);
+        for one in self.collected.iter_mut().filter(|one| one.poses.count == 0) {
+            one.poses.start = start;
+        }
+    }
+
     fn item(&mut self, mut item: Item) -> Result<(), Error> {
         if let Item::Detections(frame, percent) = &mut item {
             if let Some(evidence) = &mut self.evidence {
                 evidence.add(frame, *percent);
             }
             frame.capture = frame.capture + self.offsets[frame.camera];
+            self.begin(frame);
         }
-        for Collected { poses, comparisons, .. } in &mut self.collected {
+        for Collected { comparisons, .. } in &mut self.collected {
             match &item {
                 Item::Detections(detections, _) => {
                     if detections.camera == self.clock {
                         comparisons.clock = Some(FrameClock::of(detections));
-                    }
-                    if poses.count == 0 {
-                        let capture = detections.capture;
-                        poses.start = Some(poses.start.map_or(capture, |start| start.min(capture)));
                     }
                 }
                 Item::HeldOut(detections, _) => {

@@ -37,6 +37,13 @@ pub(super) fn isolated(mut config: Config) -> Result<Config, Failure> {
     config.node.stage = "bench".into();
     config.node.actor = "actor".into();
     config.node.rig.clear();
+    config.node.prometheus.clear();
+    (config.bus.zenoh.mode, config.bus.zenoh.tls) = Default::default();
+    if config.stage.performers.limit() > 1 || config.node.solver {
+        let why =
+            "bench latency is of one performer: leave [stage] performers and [node] solver out";
+        return Err(Failure::new(Exit::Usage, why));
+    }
     Ok(config)
 }
 

@@ -52,6 +52,12 @@ pub(crate) enum TakeError {
     /// The recording cannot be read.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// No keypoints in the span.
+    #[error("{path} has no keypoints from --start to --end")]
+    EmptySpan {
+        /// The recording.
+        path: PathBuf,
+    },
     /// A recording without keypoints.
     #[error(
         "{path} holds no keypoints to play; give a recording of `bundlemocap import`, `synth` or \
@@ -105,6 +111,9 @@ impl Take {
             if let Err(error) = gathered.add(&raw) {
                 reader.reject(&raw.topic, &error);
             }
+        }
+        if gathered.cameras.is_empty() && span.is_some() {
+            return Err(TakeError::EmptySpan { path: path.to_owned() });
         }
         if gathered.cameras.is_empty() {
             return Err(TakeError::NoKeypoints { path: path.to_owned() });

@@ -235,6 +235,18 @@ impl Camera {
         Some((self.pixel_from_distorted(&distorted), jacobian))
     }
 
+    /// Whether images of this size are those of the calibration. A size that is twice the principal point was perhaps only
+    /// taken from it: then images of about this size are, unless they are scaled.
+    pub fn is_of_size(&self, size: [u32; 2]) -> bool {
+        const ABOUT: f64 = 0.1;
+        const SCALED: f64 = 0.003;
+        let own = [self.width, self.height];
+        let is_guessed = || [0, 1].map(|axis| (2.0 * self.centre[axis]).round() as u32) == own;
+        let [x, y] = [0, 1].map(|axis| f64::from(size[axis]) / f64::from(own[axis]) - 1.0);
+        let is_near = x.abs() < ABOUT && y.abs() < ABOUT && (x - y).abs() > SCALED;
+        size == own || is_near && is_guessed()
+    }
+
     /// Whether a pixel lies in the image.
     pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
         let [width, height] = [self.width, self.height].map(f64::from);

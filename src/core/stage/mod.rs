@@ -313,7 +313,7 @@ impl Stage {
 
     /// Forgets the bodies of some performers, see [`tracker::Input::Forget`].
     pub fn forget(&mut self, whose: impl Fn(PerformerId) -> bool) {
-        let saved = self.saved.iter_mut().enumerate().filter(|_| !self.is_solving);
+        let saved = self.saved.iter_mut().enumerate();
         saved.filter(|(one, _)| whose(PerformerId(*one))).for_each(|(_, body)| *body = None);
         let forgetting = (0..self.trackers.len()).filter(|one| whose(PerformerId(*one)));
         if self.crowd.is_none() {

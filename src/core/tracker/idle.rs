@@ -78,6 +78,10 @@ impl Tracker {
         else {
             return;
         };
+        if self.is_fed && self.complete.is_none() {
+            // The first frames of one of several performers come when it is clear who it is.
+            return;
+        }
         let frames = Nanos::rounded(4.0 * self.frame_period());
         let is_silent = now - front - self.delay > SILENCE.max(frames);
         match self.idle.why {

@@ -37,6 +37,23 @@ struct Seen {
     last: Option<(u64, Timestamp)>,
     /// The last steps of its capture time.
     steps: [Nanos; STEPS],
+    /// Number of frames that came too late since the last one that was used.
+    late: u64,
+}
+
+impl Seen {
+    /// A frame came. Returns how far behind an earlier one it is, if it is.
+    fn reach(&mut self, capture: Timestamp) -> Option<Nanos> {
+        let before = self.watermark;
+        self.watermark = before.max(Some(capture));
+        let step = capture - before?;
+        if step < Nanos::ZERO {
+            return Some(-step);
+        }
+        self.steps.rotate_left(1);
+        self.steps[STEPS - 1] = step;
+        None
+    }
 }
 
 /// The frames that wait for their window or their frame set, and the state of each camera.
@@ -204,6 +221,10 @@ impl Intake {
             return event(EventKind::Unusable, detail);
         }
         if let Some(late) = self.late(&frame) {
+            let seen = &mut self.cameras[frame.camera];
+            // A camera that is slow for a while is expected at its own rate again.
+            seen.reach(frame.capture);
+            seen.late += u64::from(seen.last_used < Some(frame.frame));
             return Some(late);
         }
         let newest = self.newest().map(|newest| now.map_or(newest, |now| now.max(newest)));
@@ -221,20 +242,8 @@ impl Intake {
             return event(EventKind::Duplicate, format!("frame {} came twice", frame.frame));
         }
         self.rate.note(frame.camera, frame.frame, frame.capture);
-        let watermark =
-            seen.watermark.replace(seen.watermark.unwrap_or(frame.capture).max(frame.capture));
-        let found = match watermark {
-            Some(watermark) if frame.capture < watermark => {
-                let behind = watermark - frame.capture;
-                event(EventKind::OutOfOrder, format!("{behind} behind"))
-            }
-            Some(watermark) => {
-                seen.steps.rotate_left(1);
-                seen.steps[STEPS - 1] = frame.capture - watermark;
-                None
-            }
-            None => None,
-        };
+        let behind = seen.reach(frame.capture);
+        let found = behind.and_then(|by| event(EventKind::OutOfOrder, format!("{by} behind")));
         self.frames.insert(key, Arc::new(frame));
         if let Some((front, newest)) = self.front().zip(self.newest())
             && self.reached.is_none_or(|[before, _]| before != front)
@@ -306,9 +315,12 @@ impl Intake {
         Some(steps[STEPS / 2]).filter(|step| *step > Nanos::ZERO)
     }
 
-    /// When the next frame of a camera is expected; `None` before its first one.
+    /// When the next frame of a camera may come, by its shortest step of late; `None` before its first one. A camera that
+    /// loses frames is not a slow one.
     pub(in crate::core) fn next(&self, camera: usize, period: Nanos) -> Option<Timestamp> {
-        Some(self.watermark(camera)? + self.step(camera).unwrap_or(period))
+        let seen = self.cameras.get(camera)?;
+        let steps = seen.steps.iter().filter(|step| **step > Nanos::ZERO);
+        Some(seen.watermark? + steps.min().copied().unwrap_or(period))
     }
 
     /// Adds the counts of used frames of `before`, which had the same cameras.
@@ -398,7 +410,8 @@ impl Intake {
             seen.used += numbers.len() as u64;
             let Some((&first, &last)) = numbers.first().zip(numbers.last()) else { continue };
             let from = seen.last_used.map_or(first, |last| last.saturating_add(1)).min(first);
-            let count = (last - from).saturating_add(1).saturating_sub(numbers.len() as u64);
+            let came = numbers.len() as u64 + std::mem::take(&mut seen.late);
+            let count = (last - from).saturating_add(1).saturating_sub(came);
             seen.last_used = Some(last);
             if (1..=MAX_MISSING).contains(&count) {
                 missing.push(Event {

@@ -178,8 +178,8 @@ impl Tracker {
         }
         let behind = self.behind(end);
         let waited_for = behind.iter().any(|&camera| self.intake.waiting.is_waited_for(camera));
-        // Live, only the clock counts: one camera's clock may be fast.
-        let clock = if self.live.is_some() { self.now } else { self.intake.newest() };
+        // One camera's clock may be fast: live, only the node's counts, else what two have reached.
+        let clock = if self.live.is_some() { self.now } else { self.intake.front_or_alone() };
         let is_overdue = clock.max(self.now) >= Some(end + self.grace());
         let is_overdue = is_overdue && !(self.live.is_some() && self.is_starved());
         if !(self.ended || (!waited_for && self.intake.waiting.any()) || is_overdue) {

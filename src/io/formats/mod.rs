@@ -73,6 +73,8 @@ pub enum ExportError {
     NotFinite { path: PathBuf, frame: usize },
     #[error("{path}: frame rate {fps} is not valid; give one above 0")]
     FrameRate { path: PathBuf, fps: f64 },
+    #[error("{path}: this format cannot name a camera {name:?}; rename the camera")]
+    Name { path: PathBuf, name: String },
 }
 
 impl ExportError {
@@ -137,6 +139,17 @@ pub enum ImportError {
         name: String,
         /// The known names.
         known: String,
+    },
+    /// Points are shares of an image whose size nobody says.
+    #[error(
+        "{}: camera {camera} has no image size, and its points are shares of the image; add width and height",
+        path.display()
+    )]
+    NoImageSize {
+        /// The calibration.
+        path: PathBuf,
+        /// The camera.
+        camera: String,
     },
     /// There are more folders than cameras.
     #[error(

@@ -15,6 +15,8 @@ use crate::core::detections::Keypoint;
 #[derive(Debug, Error)]
 #[allow(missing_docs)]
 pub enum TrajectoryError {
+    #[error("it has {one} and {other}, of two subjects; give a file of one subject")]
+    Subjects { one: String, other: String },
     #[error("{path}: cannot be read: {source}")]
     Unreadable { path: PathBuf, source: std::io::Error },
     #[error("{path}: {source}")]
@@ -175,10 +177,23 @@ impl Trajectories {
         if !(1.0..=1e4).contains(&self.frame_rate) {
             return Err(TrajectoryError::Rate { rate: self.frame_rate });
         }
+        if let Some([one, other]) = LIMBS.iter().find_map(|limb| self.rivals(*limb)) {
+            return Err(TrajectoryError::Subjects { one, other });
+        }
         match LIMBS.iter().any(|limb| self.column_of(*limb).is_some()) {
             true => Ok(self),
             false => Err(TrajectoryError::NoPoint { names: self.names }),
         }
+    }
+
+    /// Two markers that are one keypoint of different subjects.
+    fn rivals(&self, keypoint: Keypoint) -> Option<[String; 2]> {
+        let is_it = |name: &&String| keypoint_of(plain(name)) == Some(keypoint);
+        let mut all = self.names.iter().filter(is_it);
+        let first = all.next()?;
+        let of = |name: &str| name.split_once(':').map(|(subject, _)| subject.to_owned());
+        let other = all.find(|name| of(name) != of(first))?;
+        Some([first, other].map(Clone::clone))
     }
 
     /// Column of a keypoint.

@@ -112,7 +112,9 @@ fn row(
     let point = |marker: usize| -> Result<Option<Vector3<f64>>, TrajectoryError> {
         let first = 2 + 3 * marker;
         let at = Vector3::new(number(first)?, number(first + 1)?, number(first + 2)?) * metres;
-        Ok(at.iter().all(|c| c.is_finite()).then_some(at))
+        // Some programs write zeros for places that are not known.
+        let is_known = at.iter().all(|c| c.is_finite()) && at != Vector3::zeros();
+        Ok(is_known.then_some(at))
     };
     (0..markers).map(point).collect()
 }

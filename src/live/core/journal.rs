@@ -141,6 +141,7 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         body: settings.body.clone(),
         take: settings.carried.take.clone(),
         latency_ns: settings.carried.latency.unwrap_or_default().ns().unsigned_abs(),
+        solve_ns: settings.carried.solve.ns().unsigned_abs(),
         time_offsets_ns: settings.carried.time_offsets.iter().map(|offset| offset.ns()).collect(),
         performers: settings.carried.performers.iter().map(wire_known).collect(),
         left_out: settings.carried.left_out.iter().map(|camera| *camera as u32).collect(),

@@ -37,8 +37,8 @@ const CALM: u32 = 30;
 pub(super) struct Finder {
     given: Option<Nanos>,
     least_solve: Nanos,
-    /// The latency of the run before, if there was one.
-    before: Option<Nanos>,
+    /// The latency of the run before, if there was one, and the part of it for a solve; 0: not known.
+    before: Option<[Nanos; 2]>,
     solves: Vec<Nanos>,
     found: Option<Latency>,
     /// Times that it allows for: window from its first pose, solve and network.
@@ -50,9 +50,9 @@ pub(super) struct Finder {
 }
 
 impl Finder {
-    /// For a configured latency in milliseconds, 0 to measure it, and that of the run before; for one
-    /// performer or `several`.
-    pub(super) fn new(given_ms: f64, before: Option<Nanos>, several: bool) -> Self {
+    /// For a configured latency in milliseconds, 0 to measure it, and that of the run before with the part for a solve (0:
+    /// not known); for one performer or `several`.
+    pub(super) fn new(given_ms: f64, before: Option<[Nanos; 2]>, several: bool) -> Self {
         let given = (given_ms > 0.0).then(|| Nanos::new((given_ms * 1e6) as i64));
         let least_solve = if several { LEAST_OF_SEVERAL } else { LEAST_SOLVE };
         Self { given, least_solve, before, ..Self::default() }
@@ -61,6 +61,11 @@ impl Finder {
     /// The latency, once it is declared.
     pub(super) fn declared(&self) -> Option<Nanos> {
         self.found.map(|latency| latency.declared)
+    }
+
+    /// The time reserved for a solve, once the latency is declared.
+    pub(super) fn solve(&self) -> Option<Nanos> {
+        self.found.map(|_| self.parts[1])
     }
 
     /// Time that a window's solve may take, once the latency is declared: the time reserved for it,
@@ -87,12 +92,13 @@ impl Finder {
             return None;
         }
         // The latency of the run before holds if it leaves enough time to solve.
-        let before = self.before.take().map(|before| before - wait - delay.max(LEAST_NETWORK));
-        if let Some(solve) = before.map(|rest| rest - PUBLISH)
-            && self.given.is_none()
-            && solve >= self.least_solve.min(wait)
-        {
-            return Some(self.declare([wait, solve, delay], period, config));
+        if let Some([before, solve]) = self.before.take().filter(|_| self.given.is_none()) {
+            let rest = before - wait - PUBLISH;
+            let most = rest - delay.max(LEAST_NETWORK);
+            let solve = if solve > Nanos::ZERO { solve.min(most) } else { most };
+            if solve >= self.least_solve.min(wait) {
+                return Some(self.declare([wait, solve, rest - solve], period, config));
+            }
         }
         self.solves.push(took);
         if self.given.is_none() && self.solves.len() < WINDOWS {
@@ -216,10 +222,15 @@ mod tests {
     #[test]
     fn the_latency_of_the_run_before_holds_if_it_is_enough() {
         let declared = |before: i64, delay: i64| {
-            let found = solved(&mut Finder::new(0.0, Some(MS * before), false), 5, delay);
-            found.map(|(latency, _)| latency.declared)
+            let before = Some([MS * before, MS * 40]);
+            let found = solved(&mut Finder::new(0.0, before, false), 5, delay);
+            found.map(|(latency, why)| {
+                assert!(why.contains("solve 40.0, network"), "{why}");
+                latency.declared
+            })
         };
         assert_eq!(declared(197, 3), Some(MS * 197));
+        assert_eq!(declared(251, 3), Some(MS * 251), "the rest is network");
         assert_eq!(declared(197, 30), None, "measured anew");
     }
 

@@ -123,7 +123,7 @@ impl Core {
     ) -> Result<(), DecodeError> {
         let Some(camera) = rig.cameras.get(frame.camera) else { return Ok(()) };
         let [width, height] = [camera.width, camera.height];
-        if size != [0, 0] && size != [width, height] {
+        if size != [0, 0] && !camera.is_of_size(size) {
             return Err(DecodeError::Invalid {
                 message: "KeypointFrame",
                 field: "image_width",

@@ -113,7 +113,7 @@ impl Core {
         Self {
             latency: Finder::new(
                 node.latency_ms,
-                settings.carried.latency,
+                settings.carried.latency.map(|all| [all, settings.carried.solve]),
                 settings.stage.several(),
             ),
             running: settings.carried.take.clone(),

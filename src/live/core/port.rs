@@ -129,6 +129,8 @@ pub struct Carried {
     pub take: String,
     /// Declared latency, if it was declared.
     pub latency: Option<Nanos>,
+    /// The part of it that is reserved for a solve; 0: not known.
+    pub solve: Nanos,
     /// Corrections of the cameras' time offsets, in the order of the rig; none: not corrected.
     pub time_offsets: Vec<Nanos>,
     /// The performers, if there are several.
@@ -168,6 +170,7 @@ impl Carried {
         Self {
             take: start.take.clone(),
             latency: (latency > 0).then(|| Nanos::new(latency)),
+            solve: Nanos::new(start.solve_ns.cast_signed()),
             time_offsets: start.time_offsets_ns.iter().copied().map(Nanos::new).collect(),
             performers: start.performers.iter().map(known).collect(),
             left_out: start.left_out.iter().map(|camera| *camera as usize).collect(),

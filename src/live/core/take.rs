@@ -290,6 +290,7 @@ impl Core {
             carried: Carried {
                 take: take.name,
                 latency: self.latency.declared().or(self.settings.carried.latency),
+                solve: self.latency.solve().unwrap_or(self.settings.carried.solve),
                 time_offsets: stage
                     .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
                 performers: stage.map_or_else(

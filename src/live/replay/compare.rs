@@ -82,9 +82,13 @@ pub(crate) struct At {
 
 impl At {
     /// Whether a message belongs to the run. Events of older recordings name no run.
-    fn holds(&self, message: &Recorded) -> bool {
+    ///
+    /// `are_named`: whether other events of the recording name their runs. Those without one are then of before the run,
+    /// and came later from the bus's history.
+    fn holds(&self, message: &Recorded, are_named: bool) -> bool {
         match run_of(message) {
             Some(0) if is_status(message) || is_of_no_run(message) => false,
+            Some(0) if are_named && *message.schema == *Event::FULL_NAME => false,
             None | Some(0) => message.time >= self.begin,
             Some(run) => run == self.run,
         }
@@ -147,7 +151,11 @@ pub(crate) fn compare(
     for message in replayed.iter().filter(is_ours) {
         by_topic.entry(&message.topic).or_default()[1].push(message);
     }
-    for message in recorded.iter().filter(is_ours).filter(|message| at.holds(message)) {
+    let names_run = |message: &Recorded| {
+        *message.schema == *Event::FULL_NAME && run_of(message).is_some_and(|run| run != 0)
+    };
+    let are_named = recorded.iter().any(names_run);
+    for message in recorded.iter().filter(is_ours).filter(|one| at.holds(one, are_named)) {
         by_topic.entry(&message.topic).or_default()[0].push(message);
     }
     let compare =

@@ -11,7 +11,7 @@ use super::names::Names;
 use super::performer_id::PerformerId;
 use super::person::{HIDDEN, Person, Sight, apart};
 use crate::core::association::{
-    Assigned, Association, Gates, Newcomer, Part, associate, pixels_of,
+    Assigned, Association, Gates, KEYPOINTS, Newcomer, Part, Points, associate, pixels_of,
 };
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
@@ -81,6 +81,8 @@ struct Absent {
     is_unwanted: bool,
     /// Whether the last place is in the world of another calibration.
     is_elsewhere: bool,
+    /// Whether everybody was lost at once, as at the start of a take: who is in view stays where it was.
+    is_interrupted: bool,
 }
 
 /// What happened to a performer, by number from 0.
@@ -182,17 +184,22 @@ impl People {
     pub(super) fn known(&self) -> Vec<Known> {
         let is_named = |one: &Absent| self.names.given(PerformerId(one.performer)).is_some();
         let absent = self.absent.iter().filter(|one| one.merged.is_none() || is_named(one));
-        let absent = absent.map(|one| (one.performer, one.is_unwanted, &one.person));
+        let absent = absent.map(|one| {
+            let points = if one.is_elsewhere { [None; KEYPOINTS] } else { *one.person.points() };
+            (one.performer, one.is_unwanted, &one.person, points)
+        });
         let present = self.members.iter().filter_map(|member| match member.role {
-            Role::Performer(performer) => Some((performer, false, &member.person)),
+            Role::Performer(performer) => {
+                Some((performer, false, &member.person, *member.person.points()))
+            }
             _ => None,
         });
-        let known = |(performer, dropped, person): (usize, bool, &Person)| Known {
+        let known = |(performer, dropped, person, points): (usize, bool, &Person, Points)| Known {
             performer: PerformerId(performer),
             name: self.names.given(PerformerId(performer)).unwrap_or_default().to_owned(),
             dropped,
             seen: person.seen,
-            points: *person.points(),
+            points,
             lengths: person.lengths.sums(),
             ..Known::default()
         };
@@ -208,7 +215,8 @@ impl People {
             person.lengths = Lengths::of(one.lengths);
             let has_left = one.dropped || !one.was_here();
             let absent = Absent::new(one.performer.0, person);
-            self.absent.push(Absent { has_left, is_unwanted: one.dropped, ..absent });
+            let is_unwanted = one.dropped;
+            self.absent.push(Absent { has_left, is_unwanted, is_interrupted: true, ..absent });
             self.known = self.known.max(one.performer.0 + 1);
         }
         self.names.know(known);
@@ -218,7 +226,8 @@ impl People {
     pub(super) fn restart(&mut self, by: Nanos) {
         for member in std::mem::take(&mut self.members) {
             if let Role::Performer(performer) = member.role {
-                self.absent.push(Absent::new(performer, member.person));
+                let absent = Absent::new(performer, member.person);
+                self.absent.push(Absent { is_interrupted: true, ..absent });
             }
         }
         for one in &mut self.absent {
@@ -405,8 +414,9 @@ impl People {
 impl Absent {
     /// A performer who is lost.
     fn new(performer: usize, person: Person) -> Self {
-        let [has_left, is_unwanted, is_elsewhere] = [false; 3];
-        Self { performer, person, merged: None, has_left, is_unwanted, is_elsewhere }
+        let [has_left, is_unwanted, is_elsewhere, is_interrupted] = [false; 4];
+        let merged = None;
+        Self { performer, person, merged, has_left, is_unwanted, is_elsewhere, is_interrupted }
     }
 
     fn make_unwanted(&mut self) {
@@ -445,7 +455,6 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::core::association::KEYPOINTS;
 
     /// How many are left of two people this far from each other, metres, who have detections in these views.
     fn left_of(apart: f64, views: [&[usize]; 2]) -> usize {

@@ -2,7 +2,7 @@
 
 use super::{Absent, Change, ELSEWHERE, LOST, Member, People, Role, Wish};
 use crate::core::stage::performer_id::PerformerId;
-use crate::core::stage::person::{Person, apart};
+use crate::core::stage::person::{OTHER_BODY, Person, apart};
 use crate::core::time::{Nanos, Timestamp};
 
 /// A newcomer is a person after so many frame sets and so long; after so many if it may be a performer of before; and
@@ -15,6 +15,10 @@ const FOLLOWED: Nanos = Nanos::from_ms(2000);
 /// How far people get while they are not seen, metres and m/s.
 const AWAY_M: f64 = 0.6;
 const AWAY_M_S: f64 = 3.0;
+/// After an interruption of up to this time, who is nearest to where a performer was, and nearer than this, is the
+/// performer.
+const INTERRUPTED: Nanos = Nanos::from_ms(3000);
+const IN_PLACE_M: f64 = 0.5;
 /// Bodies that differ by less (`Lengths::difference`) are one person's.
 const SAME_BODY: f64 = 1.7;
 /// The same where a performer is expected: one is missed near there, or all who may come are known.
@@ -128,6 +132,9 @@ impl People {
     fn judge(&self, index: usize, at: Timestamp) -> Verdict {
         let person = &self.members[index].person;
         let may_return = self.absent.iter().any(|one| self.may_return(one));
+        if let Some(place) = self.in_place_of(index) {
+            return Verdict::Known(place);
+        }
         let is_early = may_return && !person.is_seen_for(RECOGNISED);
         if is_early || self.is_taken_for(person, at) {
             return Verdict::Unsure;
@@ -147,6 +154,28 @@ impl People {
             None if is_undecided && self.absent.iter().any(is_unknown) => Verdict::Unsure,
             _ => Verdict::New,
         }
+    }
+
+    /// The place in `absent` of the performer who stood where this member is when everybody was lost at once.
+    fn in_place_of(&self, index: usize) -> Option<usize> {
+        let off = |one: &Absent, member: &Member| {
+            let (before, now) = (&one.person, &member.person);
+            let is_other = || {
+                let difference = before.lengths.difference(&now.lengths);
+                difference.is_some_and(|difference| difference > OTHER_BODY)
+            };
+            let is_possible = one.is_interrupted
+                && !one.is_elsewhere
+                && matches!(member.role, Role::Candidate(_))
+                && (Nanos::ZERO..INTERRUPTED).contains(&(now.first - before.seen))
+                && self.may_return(one)
+                && !is_other();
+            let off = apart(before.points(), now.points()).filter(|_| is_possible);
+            off.filter(|off| *off < IN_PLACE_M)
+        };
+        let place = nearest(self.absent.iter().map(|one| off(one, &self.members[index])))?;
+        let here = nearest(self.members.iter().map(|other| off(&self.absent[place], other)));
+        (here == Some(index)).then_some(place)
     }
 
     /// Whether this may be a performer, while somebody else may be followed as that performer.
@@ -261,6 +290,12 @@ impl Absent {
     fn may_be_there(&self, candidate: &Person, at: Timestamp) -> bool {
         self.is_elsewhere || !self.person.was_here() || is_in_reach(&self.person, candidate, at)
     }
+}
+
+/// The index of the least distance.
+fn nearest(offs: impl Iterator<Item = Option<f64>>) -> Option<usize> {
+    let known = offs.enumerate().filter_map(|(index, off)| Some((index, off?)));
+    known.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(index, _)| index)
 }
 
 /// Whether a candidate was a bystander while the person was seen: then it is somebody else.

@@ -52,7 +52,11 @@ pub(in crate::io::formats) fn parse(bytes: &[u8]) -> Result<Trajectories, Trajec
     let first = long("ACTUAL_START_FIELD").unwrap_or(layout.first);
     let last = long("ACTUAL_END_FIELD").unwrap_or(layout.last);
     let frames = last.checked_sub(first).map_or(usize::MAX, |frames| frames as usize + 1);
-    let places = layout.places(bytes, &numbers, scale)?.take(frames);
+    let places = layout.places(bytes, &numbers, scale)?;
+    // Without TRIAL, the numbers of a long recording have gone round.
+    let is_long = trial.is_empty() && places.len() > usize::from(u16::MAX);
+    let frames = if is_long { places.len() } else { frames };
+    let places = places.take(frames);
     let turned = |row: Vec<Option<Vector3<f64>>>| {
         row.into_iter().map(|place| place.map(|place| turn * place)).collect()
     };
@@ -103,7 +107,8 @@ impl Layout {
         bytes: &'a [u8],
         numbers: &'a Numbers,
         scale: f64,
-    ) -> Result<impl Iterator<Item = Vec<Option<Vector3<f64>>>> + 'a, TrajectoryError> {
+    ) -> Result<impl ExactSizeIterator<Item = Vec<Option<Vector3<f64>>>> + 'a, TrajectoryError>
+    {
         let is_float = scale < 0.0;
         let (width, scale) = if is_float { (4, 1.0) } else { (2, scale) };
         let number = move |bytes: &[u8], index: usize| {

@@ -97,7 +97,7 @@ fn image(line: usize, text: &str, inside: &BTreeMap<&str, Inside>) -> Result<Cal
     let name = folder.or_else(|| path.file_stem()).unwrap_or_default();
     Ok(Calibrated {
         name: name.to_string_lossy().into_owned(),
-        size,
+        size: Some(size),
         matrix,
         lens,
         rotation,

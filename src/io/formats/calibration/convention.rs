@@ -432,8 +432,8 @@ fn seeing(
     let sees = |(camera, (r, t)): &(&Calibrated, &(Matrix3<f64>, Vector3<f64>))| {
         let at = r * point + t;
         let pixel = camera.matrix * at / at.z;
-        let inside = |value: f64, size: u32| (0.0..f64::from(size)).contains(&value);
-        at.z > 0.0 && inside(pixel.x, camera.size[0]) && inside(pixel.y, camera.size[1])
+        let [width, height] = camera.size();
+        at.z > 0.0 && (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y)
     };
     cameras.iter().zip(poses).filter(sees).count()
 }

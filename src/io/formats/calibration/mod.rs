@@ -22,6 +22,7 @@ use super::ImportError;
 use super::detections::natural_key;
 use crate::core::camera::{Camera, CameraError, Lens, Rig};
 use crate::core::time::Nanos;
+use crate::io::wire::valid_name;
 use convention::{Found, settle};
 use table::Tables;
 use tree::{Content, content};
@@ -29,7 +30,8 @@ use tree::{Content, content};
 /// A camera of a calibration file, in the file's world.
 pub(super) struct Calibrated {
     pub name: String,
-    pub size: [u32; 2],
+    /// `None`: the file does not say it.
+    pub size: Option<[u32; 2]>,
     pub matrix: Matrix3<f64>,
     pub lens: Lens,
     /// camera_from_calibration.
@@ -37,6 +39,14 @@ pub(super) struct Calibrated {
     /// camera_from_calibration, in the file's unit.
     pub translation: Vector3<f64>,
     pub time_offset: Nanos,
+}
+
+impl Calibrated {
+    /// The image size. If the file has none, the principal point is taken as its middle.
+    pub(super) fn size(&self) -> [f64; 2] {
+        let twice = [0, 1].map(|axis| (2.0 * self.matrix[(axis, 2)]).round());
+        self.size.map_or(twice, |size| size.map(f64::from))
+    }
 }
 
 /// Why a calibration cannot be used.
@@ -62,6 +72,8 @@ pub struct Calibration {
     pub poses: Poses,
     /// The file's unit of length.
     pub unit: Unit,
+    /// The cameras without an image size in the file.
+    pub without_size: Vec<String>,
     /// What was guessed or left out, and may be wrong.
     pub notes: Vec<String>,
 }
@@ -230,17 +242,40 @@ impl Parts {
         let found = settle(&mut cameras, prescribed, &given);
         let Found { up, up_is_guessed, poses, unit, notes: more } = found;
         notes.extend(more);
+        let without_size = cameras.iter().filter(|camera| camera.size.is_none());
+        let without_size: Vec<String> = without_size.map(|camera| camera.name.clone()).collect();
+        for camera in &cameras {
+            let (name, size) = (&camera.name, size_px(&camera.name, camera.size())?);
+            if camera.size.is_none() {
+                notes.push(format!(
+                    "camera {name}: the file has no image size (width and height); {} x {} is taken, \
+                     twice the principal point, and images of about that size",
+                    size[0], size[1]
+                ));
+            }
+            if valid_name(name).is_err() {
+                notes.push(format!(
+                    "camera {name}: the camera cannot be live, for topics have no such names"
+                ));
+            }
+        }
         let camera = |c: Calibrated| {
             let rotation = c.rotation * up.calibration_from_world();
-            let mut camera =
-                Camera::new(c.name, c.size, &c.matrix, c.lens, rotation, c.translation)?;
+            let mut camera = Camera::new(
+                c.name.clone(),
+                c.size().map(|px| px as u32),
+                &c.matrix,
+                c.lens,
+                rotation,
+                c.translation,
+            )?;
             camera.time_offset = c.time_offset;
             Ok(camera)
         };
         let cameras = cameras.into_iter().map(camera).collect::<Result<_, _>>();
         let rig = cameras.and_then(|cameras| Rig::new(1, cameras)).map_err(Fault::Camera)?;
         let format = self.format.unwrap_or("TOML");
-        Ok(Calibration { rig, format, up, up_is_guessed, poses, unit, notes })
+        Ok(Calibration { rig, format, up, up_is_guessed, poses, unit, without_size, notes })
     }
 }
 

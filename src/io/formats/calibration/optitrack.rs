@@ -42,7 +42,7 @@ fn camera(node: &Node) -> Result<Calibrated, Fault> {
     let rotation = opengl() * world_from_camera.transpose();
     Ok(Calibrated {
         name: name.to_owned(),
-        size: size_px(name, size)?,
+        size: Some(size_px(name, size)?),
         matrix: Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
         lens,
         rotation,

@@ -54,7 +54,7 @@ fn camera(node: &Node) -> Result<Calibrated, Fault> {
     let size = [view.number("right")? - left + 1.0, view.number("bottom")? - top + 1.0];
     let (rotation, translation) = extrinsics(&fields("transform")?)?;
     let (matrix, lens) = intrinsics(&fields("intrinsic")?, left, top)?;
-    let (size, time_offset) = (size_px(&name, size)?, Nanos::ZERO);
+    let (size, time_offset) = (Some(size_px(&name, size)?), Nanos::ZERO);
     Ok(Calibrated { size, name, matrix, lens, rotation, translation, time_offset })
 }
 

@@ -1,6 +1,7 @@
 //! Cameras in files of named fields (TOML, JSON, YAML, XML and pickles), whatever the fields are called.
 
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, Vector3};
 use serde_json::{Map, Value};
@@ -48,7 +49,7 @@ const FIELDS: [(&str, &[&str]); 12] = [
     ("pose", &["extrinsics", "extrinsic", "extrinsicmatrix", "rt", "worldtocamera"]),
     ("width", &["width", "imagewidth", "w"]),
     ("height", &["height", "imageheight", "h"]),
-    ("fisheye", &["fisheye"]),
+    ("fisheye", &["fisheye", "fisheyemodel", "isfisheye"]),
     ("ignore", &["ignore"]),
     ("model", &["distortionmodel", "cameramodel", "model"]),
 ];
@@ -192,12 +193,10 @@ impl Tables {
                 && fields.contains_key(CHAIN)
             {
                 let (by, along) = pose(&camera.numbers_of(CHAIN, &fields[CHAIN])?)
-                    .ok_or_else(|| camera.fault(CHAIN, "is no matrix of 3 x 4 or 4 x 4"))?;
+                    .ok_or_else(|| camera.fault(CHAIN, "is no pose of 3 x 4 or 4 x 4"))?;
                 (*r, *t) = (by * *r, by * *t + along);
             }
-            let (calibrated, note) = camera.calibrated(before)?;
-            self.notes.extend(note);
-            all.push(calibrated);
+            all.push(camera.calibrated(before)?);
         }
         Ok((all, self.notes))
     }
@@ -273,10 +272,12 @@ fn text(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
-/// Rotation and translation of a matrix of 3 x 4 or 4 x 4.
+/// Rotation and translation of a matrix of 3 x 4, or of 4 x 4 with 0, 0, 0, 1 in the last row.
 fn pose(numbers: &[f64]) -> Option<(Matrix3<f64>, Vector3<f64>)> {
     let row = |i: usize| &numbers[4 * i..4 * i + 4];
-    matches!(numbers.len(), 12 | 16).then(|| {
+    let is_last =
+        |row: &[f64]| row.iter().zip([0.0, 0.0, 0.0, 1.0]).all(|(a, b)| (a - b).abs() < 1e-6);
+    (numbers.len() == 12 || numbers.len() == 16 && is_last(row(3))).then(|| {
         let rows = [row(0), row(1), row(2)];
         (Matrix3::from_fn(|i, j| rows[i][j]), Vector3::from_fn(|i, _| rows[i][3]))
     })
@@ -306,21 +307,23 @@ impl Fields<'_> {
         self.numbers(name)?.ok_or_else(|| self.fault(name, "is missing"))
     }
 
-    /// The camera, and what is noted of it. `chained`: its pose, if the poses are a chain.
+    /// The camera. `chained`: its pose, if the poses are a chain.
     fn calibrated(
         &self,
         chained: Option<(Matrix3<f64>, Vector3<f64>)>,
-    ) -> Result<(Calibrated, Option<String>), Fault> {
+    ) -> Result<Calibrated, Fault> {
         let matrix = match self.required("matrix")?[..] {
             [fx, fy, cx, cy] => Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
             ref nine if nine.len() == 9 => Matrix3::from_row_slice(nine),
             _ => return Err(self.fault("matrix", "must have 3 x 3 numbers, or fx, fy, cx, cy")),
         };
-        let (size, note) = self.size(&matrix)?;
+        let size = self.size()?;
         let (rotation, translation) = match (chained, self.numbers("pose")?) {
             (Some(pose), _) => pose,
-            (None, Some(numbers)) => pose(&numbers)
-                .ok_or_else(|| self.fault("extrinsics", "must be a matrix of 3 x 4 or 4 x 4"))?,
+            (None, Some(numbers)) => pose(&numbers).ok_or_else(|| {
+                let what = "must be a matrix of 3 x 4, or of 4 x 4 with 0, 0, 0, 1 in the last row";
+                self.fault("extrinsics", what)
+            })?,
             (None, None) => (self.rotation()?, self.translation()?),
         };
         let time_offset = match self.fields.get("time_offset_ms").map(Value::as_f64) {
@@ -329,11 +332,11 @@ impl Fields<'_> {
             Some(None) => return Err(self.fault("time_offset_ms", "is no number")),
         };
         let (name, lens) = (self.name.to_owned(), self.lens()?);
-        Ok((Calibrated { name, size, matrix, lens, rotation, translation, time_offset }, note))
+        Ok(Calibrated { name, size, matrix, lens, rotation, translation, time_offset })
     }
 
-    /// The image size. If the file has none, the principal point is taken as its middle.
-    fn size(&self, matrix: &Matrix3<f64>) -> Result<([u32; 2], Option<String>), Fault> {
+    /// The image size, if the file has it.
+    fn size(&self) -> Result<Option<[u32; 2]>, Fault> {
         let both = (self.numbers("width")?, self.numbers("height")?);
         let given = match (self.numbers("size")?, both) {
             (Some(mut size), _) if size.len() == 2 => {
@@ -349,19 +352,15 @@ impl Fields<'_> {
             }
             _ => None,
         };
-        let guessed = [matrix[(0, 2)], matrix[(1, 2)]].map(|centre| (2.0 * centre).round());
-        let size = size_px(self.name, given.unwrap_or(guessed))?;
-        let note = || {
-            format!(
-                "camera {}: the file has no image size; {} x {} is used, twice the principal point",
-                self.name, size[0], size[1]
-            )
-        };
-        Ok((size, given.is_none().then(note)))
+        given.map(|size| size_px(self.name, size)).transpose()
     }
 
     fn rotation(&self) -> Result<Matrix3<f64>, Fault> {
         match self.required("rotation")?[..] {
+            [x, y, z] if Vector3::new(x, y, z).norm() > 2.01 * PI => {
+                Err(self
+                    .fault("rotation", "is more than a turn; give the rotation vector in radians"))
+            }
             [x, y, z] => Ok(so3::exp(&Vector3::new(x, y, z))),
             ref nine if nine.len() == 9 => Ok(Matrix3::from_row_slice(nine)),
             _ => Err(self.fault("rotation", "must have 3 numbers (a rotation vector) or 3 x 3")),

@@ -45,21 +45,29 @@ fn camera(node: &Node, notes: &mut Vec<String>) -> Result<Calibrated, Fault> {
     let name = node.attribute("DEVICEID").or_else(|| node.attribute("USERID"));
     let name = name.ok_or_else(|| Fault::Text("a <Camera> has no DEVICEID".into()))?;
     let (own, frame) = (Fields::own(node, name), Fields::of(node, name, "KeyFrame")?);
-    let size = size_px(name, own.numbers("SENSOR_SIZE")?)?;
+    let size = own.numbers("SENSOR_SIZE")?;
     let focal = frame.number("FOCAL_LENGTH")?;
     let aspect =
         own.text("PIXEL_ASPECT_RATIO").map_or(Ok(1.0), |_| own.number("PIXEL_ASPECT_RATIO"))?;
     let [cx, cy] = frame.numbers("PRINCIPAL_POINT")?;
+    let is_positive = |value: f64| value > 0.0 && value.is_finite();
+    if !(is_positive(focal) && is_positive(aspect) && cx.is_finite() && cy.is_finite()) {
+        return Err(
+            frame.fault("FOCAL_LENGTH", "or the principal point is none; is it calibrated?")
+        );
+    }
     let matrix = Matrix3::new(focal, 0.0, cx, 0.0, focal / aspect, cy, 0.0, 0.0, 1.0);
     let rotation = so3::rotation_from_xyzw(frame.numbers("ORIENTATION")?)
         .ok_or_else(|| frame.fault("ORIENTATION", "is no quaternion"))?;
     let position = Vector3::from(frame.numbers::<3>("POSITION")?);
-    let reach = [cx.max(f64::from(size[0]) - cx), cy.max(f64::from(size[1]) - cy)];
-    let (lens, off) = lens(radial(&frame)?, focal, reach[0].hypot(reach[1]));
+    let reach = [cx.max(size[0] - cx), cy.max(size[1] - cy)];
+    let (lens, off) = lens(radial(&frame)?, focal, reach[0].hypot(reach[1]))
+        .ok_or_else(|| frame.fault("VICON_RADIAL2", "is no distortion of a lens"))?;
     if off > MAX_OFF_PX {
         notes.push(format!("camera {name}: the lens is matched to {off:.1} px in the corners"));
     }
     let (translation, time_offset) = (-rotation * position, Nanos::ZERO);
+    let size = Some(size_px(name, size)?);
     Ok(Calibrated { name: name.to_owned(), size, matrix, lens, rotation, translation, time_offset })
 }
 
@@ -81,8 +89,8 @@ fn radial(frame: &Fields) -> Result<[f64; 3], Fault> {
 }
 
 /// The lens whose distortion undoes that polynomial, within `reach` pixels of the centre; and its largest error
-/// there, pixels.
-fn lens(k: [f64; 3], focal: f64, reach: f64) -> (Lens, f64) {
+/// there, pixels. `None` if there is none.
+fn lens(k: [f64; 3], focal: f64, reach: f64) -> Option<(Lens, f64)> {
     // Where a point is seen and where it would be without distortion, normalised.
     let radii = (1..=RADII).map(|i| {
         let seen = reach * i as f64 / RADII as f64;
@@ -106,10 +114,14 @@ fn lens(k: [f64; 3], focal: f64, reach: f64) -> (Lens, f64) {
         left += row * row.transpose();
         right += row * (seen - ideal);
     }
+    // The decomposition of other numbers does not end.
+    if !left.iter().chain(right.iter()).all(|value| value.is_finite()) {
+        return None;
+    }
     let found = left.svd(true, true).solve(&right, 1e-14).unwrap_or_else(|_| SVector::zeros());
     let [k1, k2, k3, k4, k5, k6] = found.into();
     let lens = Lens::BrownConrady([k1, k2, 0.0, 0.0, k3, k4, k5, k6]);
     let error =
         |(seen, ideal): (f64, f64)| (lens.distort(&Vector2::new(ideal, 0.0)).x - seen).abs();
-    (lens, radii.map(error).fold(0.0, f64::max) * focal)
+    Some((lens, radii.map(error).fold(0.0, f64::max) * focal))
 }

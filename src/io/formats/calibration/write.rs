@@ -15,6 +15,9 @@ use crate::io::new_file;
 /// The file cannot be written.
 pub fn write_calibration(path: &Path, rig: &Rig, up: Up) -> Result<(), ExportError> {
     let tables = rig.cameras.iter().map(|camera| table(camera, up));
+    if let Some(camera) = rig.cameras.iter().find(|camera| camera.name == "metadata") {
+        return Err(ExportError::Name { path: path.into(), name: camera.name.clone() });
+    }
     let metadata = format!("[metadata]\nup = \"{up}\"\nunit = \"m\"\n");
     let text: String = tables.chain([metadata]).collect();
     new_file::write(path, text.as_bytes()).map_err(ExportError::write(path))
@@ -27,6 +30,10 @@ pub fn write_calibration(path: &Path, rig: &Rig, up: Up) -> Result<(), ExportErr
 /// # Errors
 /// The file cannot be written.
 pub fn write_opencv(path: &Path, rig: &Rig, up: Up) -> Result<(), ExportError> {
+    let is_key = |name: &str| !name.contains(['#', ':']);
+    if let Some(camera) = rig.cameras.iter().find(|camera| !is_key(&camera.name)) {
+        return Err(ExportError::Name { path: path.into(), name: camera.name.clone() });
+    }
     let mut text = String::from("%YAML:1.0\n---\nnames:\n");
     // Writing to a string does not fail.
     for camera in &rig.cameras {

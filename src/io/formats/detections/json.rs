@@ -216,7 +216,9 @@ fn values(
             let all = all.iter().map(of).collect::<Result<Vec<_>, _>>()?;
             let is_share = all.iter().all(|[x, y, _]| !(x.abs() > SHARE || y.abs() > SHARE));
             let [width, height] = if is_share { size.map(f64::from) } else { [1.0, 1.0] };
-            Ok(all.iter().map(|[x, y, c]| point(x * width, y * height, *c)).collect())
+            let points = all.iter().map(|[x, y, c]| point(x * width, y * height, *c)).collect();
+            report.shares |= is_share;
+            Ok(points)
         }
         Some(first) if first.is_array() => {
             let scores: Option<Vec<f64>> = scores.map(&list).transpose()?;

@@ -50,6 +50,8 @@ pub struct CameraReport {
     pub confidences_above_1: u64,
     /// Whether there are points of hands or faces, which are not used.
     pub left_out: bool,
+    /// Whether points are in shares of the image.
+    pub shares: bool,
 }
 
 impl CameraReport {
@@ -129,6 +131,8 @@ pub struct DetectionFolder {
     cameras: Vec<CameraFrames>,
     matches: Vec<FolderMatch>,
     reports: Vec<CameraReport>,
+    /// The number of the frame at time 0.
+    origin: u64,
     notes: Vec<String>,
     failed: bool,
 }
@@ -199,14 +203,22 @@ impl DetectionFolder {
         if let Some(first) = first.filter(|first| *first > 1) {
             notes.push(format!("the first frame is {first}; outputs count from this frame"));
         }
+        // Cameras of several rates would be shifted.
+        let is_from_one = reports.iter().all(|report| report.first_frame == 1)
+            && cameras.iter().any(|camera| camera.fps != cameras[0].fps);
+        if is_from_one {
+            notes.push(
+                "all frames count from 1: frame 1 is taken as the start of all cameras".into(),
+            );
+        }
         let (order, others) = match (&options.mapping, options.order) {
             (Some(path), _) => (PointOrder::of_file(path, names.as_deref())?, Vec::new()),
             (None, Some(order)) => (order, Vec::new()),
             (None, None) => found_order(folder, &cameras, names.as_deref(), &mut notes)?,
         };
         let strict = options.strict;
-        let failed = false;
-        Ok(Self { order, others, strict, cameras, matches, reports, notes, failed })
+        let (origin, failed) = (u64::from(is_from_one), false);
+        Ok(Self { order, others, strict, cameras, matches, reports, origin, notes, failed })
     }
 
     /// Folders or files and their cameras, by the camera's index.
@@ -309,7 +321,7 @@ impl Iterator for DetectionFolder {
             let heads = self.cameras.iter().enumerate();
             let head = |(at, camera): (usize, &CameraFrames)| {
                 let frame = camera.frames.number(camera.next)?;
-                Some((Timestamp::of_frame(frame, camera.fps), at, frame))
+                Some((Timestamp::of_frame(frame - self.origin, camera.fps), at, frame))
             };
             let (capture, at, frame) = heads.filter_map(head).min()?;
             match self.read(at) {

@@ -260,6 +260,7 @@ pub(super) fn yolo(
     report: &mut CameraReport,
 ) -> Result<Vec<RawPerson>, String> {
     let [width, height] = size.map(f64::from);
+    report.shares = true;
     let mut people = Vec::new();
     for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let numbers: Option<Vec<f64>> =
