@@ -39,7 +39,7 @@ const BODY_POINTS: usize = 26;
 const SECTION: Nanos = Nanos::from_ms(4000);
 const MOST_SECTIONS: i64 = 12;
 const FIRST_SECTIONS: i64 = 6;
-/// A single frame that is so far ahead of those around it is stray.
+/// A single frame so far ahead of those around it is stray.
 const STRAY: Nanos = Nanos::from_ms(1000);
 /// Frames between two compared ones.
 pub(super) const APART: usize = 15;
@@ -103,6 +103,8 @@ pub(super) struct Track {
     pub(super) span: Option<[Timestamp; 2]>,
     /// Every so many sections are kept.
     stride: i64,
+    /// A frame far ahead of the one before, until the next one shows that it is not stray.
+    held: Option<Box<Detections>>,
 }
 
 fn section(capture: Timestamp) -> i64 {
@@ -110,19 +112,6 @@ fn section(capture: Timestamp) -> i64 {
 }
 
 impl Track {
-    /// The last frame is forgotten if it is far ahead of the one before and of the next one. Returns whether it is.
-    fn drop_stray(&mut self, next: Timestamp) -> bool {
-        let before = self.frames.len().checked_sub(2).map(|at| self.frames[at].capture);
-        let is_stray =
-            |last: &Frame| last.capture - next > STRAY && before.is_none_or(|before| before < next);
-        if !self.frames.last().is_some_and(is_stray) {
-            return false;
-        }
-        self.frames.pop();
-        self.span = self.span.zip(before).map(|([first, _], before)| [first, before]);
-        true
-    }
-
     /// The median time between two frames.
     pub(super) fn period(&self) -> Option<Nanos> {
         let gaps = self.frames.windows(2).map(|pair| (pair[1].capture - pair[0].capture).ns());
@@ -170,16 +159,36 @@ impl Footage {
     pub fn add(&mut self, frame: &Detections) {
         let Some(track) = self.tracks.get_mut(frame.camera) else { return };
         track.count += 1;
-        if track.span.is_some_and(|[_, last]| frame.capture == last) {
-            track.doubled += 1;
-            return;
-        }
-        if track.span.is_some_and(|[_, last]| frame.capture < last) {
-            track.disordered += 1;
-            if !track.drop_stray(frame.capture) {
+        if let Some([first, last]) = track.span {
+            let step = frame.capture - last;
+            if step == Nanos::ZERO {
+                track.doubled += 1;
+                return;
+            }
+            let is_first_stray = first == last && -step > STRAY;
+            if step < Nanos::ZERO {
+                track.disordered += 1;
+            }
+            if is_first_stray {
+                (track.span, track.frames) = (None, Vec::new());
+            } else if step < Nanos::ZERO {
+                return;
+            }
+            if step > STRAY && track.held.is_none() {
+                track.held = Some(Box::new(frame.clone()));
                 return;
             }
         }
+        match track.held.take() {
+            Some(held) if held.capture < frame.capture => self.push(&held),
+            Some(_) => track.disordered += 1,
+            None => {}
+        }
+        self.push(frame);
+    }
+
+    fn push(&mut self, frame: &Detections) {
+        let track = &mut self.tracks[frame.camera];
         let first = track.span.map_or(frame.capture, |[first, _]| first);
         track.span = Some([first, frame.capture]);
         let points = frame.people.iter().map(|person| person.points.iter().flatten().count());

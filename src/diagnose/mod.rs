@@ -48,7 +48,7 @@ const LOOSELY_PERCENT: f64 = 60.0;
 /// A check in which fewer points agree does not clear a camera that another check finds wrong.
 const LEAST_PERCENT: f64 = 30.0;
 /// Cameras that agree do so at all but this part of the times at which two of them see somebody.
-const MOST_DISAGREEING: f64 = 0.2;
+const MOST_DISAGREEING: f64 = 0.15;
 /// The order of the keypoints is wrong if another one makes the limbs this much less strange.
 const LESS_STRANGE: f64 = 0.5;
 /// Faults that only somebody who moves shows.
@@ -297,7 +297,9 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
     }
     let points = fixed.points(consensus, None);
     let mut general = general.clone();
-    general.extend(disagreeing(fixed, consensus));
+    if general.is_empty() {
+        general.extend(disagreeing(fixed, consensus));
+    }
     // Two cameras that disagree show no performer.
     if general.iter().all(|finding| finding.cause != "disagree") {
         general.extend(performer::findings(&points, consensus.count()));
@@ -313,7 +315,6 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
 /// No two cameras agree in a part of the recording, although they see somebody.
 fn disagreeing(scene: &Scene, consensus: &consensus::Consensus) -> Option<Finding> {
     let [none, all] = scene.disagreeing(consensus);
-    eprintln!("DISAGREEING {none} of {all}");
     (none as f64 > MOST_DISAGREEING * all as f64).then(|| {
         let what = format!(
             "at {} % of the times at which cameras see somebody, no two of them agree",

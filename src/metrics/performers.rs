@@ -107,13 +107,21 @@ impl PerformerSums {
             (estimates.iter().collect::<Vec<_>>(), truths.iter().collect::<Vec<_>>());
         let distance =
             |truth: usize, estimate: usize| mean_distance(truths[truth].1, estimates[estimate].1);
-        let mut pairs: Vec<Option<usize>> = (0..truths.len())
-            .map(|truth| {
-                let last = self.truths.get(truths[truth].0)?.matched.last()?;
-                let estimate = estimates.iter().position(|(name, _)| *name == last)?;
-                (distance(truth, estimate) < GATE_M).then_some(estimate)
-            })
-            .collect();
+        let kept = |truth: usize| {
+            let last = self.truths.get(truths[truth].0)?.matched.last()?;
+            let estimate = estimates.iter().position(|(name, _)| *name == last)?;
+            let off = distance(truth, estimate);
+            (off < GATE_M).then_some((off, truth, estimate))
+        };
+        // Two may have had one estimate, one after the other: the nearer one keeps it.
+        let mut all: Vec<_> = (0..truths.len()).filter_map(kept).collect();
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut pairs: Vec<Option<usize>> = vec![None; truths.len()];
+        for (_, truth, estimate) in all {
+            if !pairs.contains(&Some(estimate)) {
+                pairs[truth] = Some(estimate);
+            }
+        }
         let mut edges = Vec::new();
         for row in (0..truths.len()).filter(|row| pairs[*row].is_none()) {
             for column in (0..estimates.len()).filter(|column| !pairs.contains(&Some(*column))) {

@@ -11,7 +11,9 @@ use super::driver::{Driver, State, Step};
 use super::options::{Observer, Options};
 use super::recording::{Item, Recording};
 use crate::core::body::{Skeleton, TrackingState};
-use crate::core::calibration::{self, OFFSET_REACH, OffsetVerdict, TimeOffset, Tracks};
+use crate::core::calibration::{
+    self, OFFSET_REACH, OffsetVerdict, TimeOffset, Tracks, offset_step,
+};
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost;
 use crate::core::detections::Detections;
@@ -348,7 +350,7 @@ impl FirstPass {
     ) -> bool {
         let checks = self.checks(rig.cameras.len());
         let period = self.periods.first().copied().unwrap_or_default();
-        let nearest = Nanos::rounded(period * OFFSET_REACH as f64);
+        let nearest = offset_step(Nanos::rounded(period)) * OFFSET_REACH;
         let mut has_changed = false;
         let cameras = rig.cameras.iter_mut().chain(held_out);
         for ((row, one), camera) in checks.iter().zip(corrected).zip(cameras) {
@@ -394,7 +396,7 @@ impl FirstPass {
         let period = Nanos::rounded(*period);
         let solved = rig.cameras.len();
         let estimate = |count: usize, known: &[Nanos]| {
-            calibration::time_offsets(&tracks, &self.cameras[..count], period, known)
+            calibration::time_offsets(&tracks, &self.cameras[..count], offset_step(period), known)
         };
         let mut found = estimate(solved, &[]);
         if !held_out.is_empty() {

@@ -156,6 +156,8 @@ impl Scene<'_> {
             decoder: Some(self.setup.decoder.clone()),
             performers: Performers::Auto,
             threads: 1,
+            // The truth has the cameras' times.
+            no_sync: true,
             choice: Choice { region: (0..CORNERS).map(corner).collect(), ..Choice::default() },
             ..Options::default()
         };
@@ -237,7 +239,11 @@ impl Solved {
             format!("{:.2}", scores.pcp_percent),
             format!("{:.2}", scores.pcp_nearest_percent),
             format!("{:.1}", scores.mpjpe_mm),
-            mean(&alone).map_or("none".to_owned(), |mm| format!("{mm:.1}")),
+            match mean(&alone) {
+                None => "none".to_owned(),
+                Some(mm) if alone.len() == self.alone_mm.len() => format!("{mm:.1}"),
+                Some(mm) => format!("{mm:.1} ({} of {})", alone.len(), self.alone_mm.len()),
+            },
             format!("{worst:.2}"),
         ]
     }

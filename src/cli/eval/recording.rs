@@ -82,6 +82,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     let trajectories = asked.reference.as_deref().map(read).transpose()?;
     let Loaded { take, held_out, frames } = Loaded::read(path, &asked.cameras, &asked.hold_out)?;
     let jitter_px = within("--jitter", asked.jitter, 0.0, 1000.0)?;
+    let fps = take.fps;
     let take = degraded(take, asked.every.into(), jitter_px).with_body(&decoder);
     let cameras = take.rig.cameras.len();
     let solves = if held_out.is_empty() { cameras + 1 } else { 1 };
@@ -93,6 +94,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
         let markers = markers.map(|trajectories| Markers {
             trajectories,
             frames: &frames,
+            fps,
             align: asked.align,
         });
         match measure(&take, &held_out, &make, &decoder, markers, &|| bar.inc(1))? {

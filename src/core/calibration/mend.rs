@@ -208,7 +208,7 @@ fn guess_turn(seen: &Seen, camera: &Camera, moved: usize) -> Option<Matrix3<f64>
 
 /// The rotation that turns the directions of the performer's limbs to those of a person, if they are
 /// alike.
-fn turn(
+pub(super) fn turn(
     frame: &Detections,
     person: &Person,
     camera: &Camera,

@@ -22,6 +22,7 @@ pub use mend::{Seen, mend};
 pub use normal::OffsetVerdict;
 pub(crate) use normal::REACH as OFFSET_REACH;
 pub use refine::{Correction, refine};
+pub(crate) use time_offsets::offset_step;
 pub use time_offsets::{TimeOffset, time_offsets};
 #[doc(hidden)]
 pub use tracks::{LIMBS, Limbs, Tracks, limbs};

@@ -132,7 +132,13 @@ impl Normal {
             let half = factor.solve(&spread);
             factor.solve(&half.transpose()).diagonal() * few
         });
-        let errors = variances[0].zip_map(&variances[1], |a, b| a.max(b).max(0.0).sqrt());
+        let mut errors = variances[0].zip_map(&variances[1], |a, b| a.max(b).max(0.0).sqrt());
+        // Without data there is no spread either.
+        for (i, error) in errors.iter_mut().enumerate() {
+            if hessian[(i, i)] <= 2.0 * NO_INFORMATION {
+                *error = error.max(REACH as f64);
+            }
+        }
         (factor.solve(&-gradient).data.into(), errors.data.into())
     }
 

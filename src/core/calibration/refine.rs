@@ -30,10 +30,10 @@ const PRIOR: [f64; 3] = [0.017453292519943295, 0.02, 0.02];
 const LEAST: [f64; 3] = [0.0017453292519943296, 0.005, 0.003];
 /// Nor are those below this many standard errors.
 const SIGNIFICANT: f64 = 3.0;
-/// A correction must lower the disagreement of its camera to this part, and may raise that of others
-/// by this factor: else it fits the detector, not the camera.
+/// A correction must lower the disagreement of its camera to this part, and may raise those of the others, all in all, by
+/// this part of the fall: else it fits the detector, not the camera.
 const BETTER: f64 = 0.9;
-const NOT_WORSE: f64 = 1.05;
+const MOST_RISE: f64 = 1.0 / 3.0;
 /// A limb counts like this many independent points, however often it is seen.
 const POINTS_PER_LIMB: f64 = 10.0;
 /// Scale of the Geman-McClure loss in standard deviations.
@@ -331,9 +331,11 @@ impl<'a> Problem<'a> {
                 let sizes = parts(&self.change(i));
                 (0..3).any(|k| sizes[k].abs() > (SIGNIFICANT * errors[k]).max(LEAST[k]))
             });
-        let is_better = self.disagreements().iter().zip(&before).enumerate().all(|(i, (a, b))| {
-            let factor = if i == camera { BETTER } else { NOT_WORSE };
-            (*a).zip(*b).map_or(i != camera, |(after, before)| after < factor * before)
+        let after = self.disagreements();
+        let rise = |i: usize| Some((after[i]? - before[i]?).max(0.0));
+        let rises: f64 = (0..after.len()).filter(|&i| i != camera).filter_map(rise).sum();
+        let is_better = after[camera].zip(before[camera]).is_some_and(|(after, before)| {
+            after < BETTER * before && rises < MOST_RISE * (before - after)
         });
         if is_significant && is_better {
             return Some((camera, errors));

@@ -56,8 +56,14 @@ impl TimeOffset {
     }
 }
 
-/// The time offsets of cameras, from tracks of their views. `step` is the nominal frame period;
-/// offsets up to six of them are found. Those of the first cameras may be `known`.
+/// The step of time, in whole nominal frame periods, of which offsets up to six are found: in less, people hardly move.
+pub(crate) fn offset_step(period: Nanos) -> Nanos {
+    const LEAST: Nanos = Nanos::from_ms(8);
+    period * ((LEAST.ns() - 1) / period.ns().max(1) + 1)
+}
+
+/// The time offsets of cameras, from tracks of their views. Offsets up to six steps are found, see [`offset_step`]. Those
+/// of the first cameras may be `known`.
 pub fn time_offsets(
     tracks: &Tracks,
     cameras: &[Camera],

@@ -37,6 +37,8 @@ const GATE: f64 = 0.25;
 /// Half of the time over which a track is smoothed, at least this many frames of its camera.
 const SMOOTHED: Nanos = Nanos::from_ms(60);
 const SMOOTHED_FRAMES: f64 = 3.5;
+/// Over a longer time limbs do not move as a quadratic does: such slow cameras have no tracks.
+const MOST_SMOOTHED: Nanos = Nanos::from_ms(400);
 /// A smoothed point has samples on both sides, up to this part of that time or further.
 const REACH: f64 = 0.4;
 
@@ -160,6 +162,9 @@ fn smoothed(samples: &[Sample], camera: &Camera, begin: Timestamp, step: Nanos) 
         samples.windows(2).map(|pair| (pair[1].capture - pair[0].capture).ns() as f64).collect();
     let reach = SMOOTHED_FRAMES * median(&mut gaps).unwrap_or_default();
     let reach = Nanos::rounded(reach.max(SMOOTHED.ns() as f64));
+    if reach > MOST_SMOOTHED {
+        return (0..steps).map(|_| Default::default()).collect();
+    }
     let at_step = |k: i64| {
         let time = begin + step * k;
         let first = samples.partition_point(|sample| sample.capture < time - reach);

@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 
+use super::mend;
 use super::tracks::{LIMBS, limbs, performer, pixel};
 use crate::core::body::{Pose, Skeleton};
 use crate::core::camera::{Camera, Rig};
@@ -228,7 +229,10 @@ fn pattern(frame: &Detections, camera: &Camera, pose: &Pose, body: &Skeleton) ->
     let Some(person) = performer(frame, camera, &limbs) else {
         let pixels = limbs.map(|limb| camera.project(&limb));
         let is_expected = pixels.iter().all(|pixel| pixel.is_some_and(|at| camera.contains(&at)));
-        return (is_expected && !frame.people.is_empty()).then_some(ELSEWHERE);
+        // Somebody who stands otherwise is somebody else, and the performer is hidden.
+        let rays = limbs.map(|at| (camera.rotation * at + camera.translation).normalize());
+        let is_there = |person| mend::turn(frame, person, camera, &rays).is_some();
+        return (is_expected && frame.people.iter().any(is_there)).then_some(ELSEWHERE);
     };
     let points = LIMBS.iter().zip(&limbs).filter_map(|(&limb, at)| {
         let seen = pixel(person, frame, limb)?;

@@ -16,6 +16,13 @@ pub struct Marginal {
     pub gradient: DVector<f64>,
 }
 
+impl Marginal {
+    /// With so many times the information.
+    pub fn scaled(self, by: f64) -> Self {
+        Self { hessian: self.hessian * by, gradient: self.gradient * by }
+    }
+}
+
 impl PathProblem<'_> {
     /// The model about `x` by the last `count` coefficients of a free body, its others held; `None`
     /// where the keyframes are not determined.

@@ -104,12 +104,17 @@ pub fn degraded(mut take: Take, every: usize, jitter_px: f64) -> Take {
     take
 }
 
-/// Frames per second of the first camera, from the median interval; `None` for fewer than two
-/// frames.
+/// Frames per second of most cameras, from the median intervals; `None` for fewer than two frames of each.
 pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
-    let times: Vec<Timestamp> =
-        frames.iter().filter(|frame| frame.camera == 0).map(|frame| frame.capture).collect();
-    let periods: Vec<f64> = times.windows(2).map(|pair| (pair[1] - pair[0]).ns() as f64).collect();
+    let cameras = frames.iter().map(|frame| frame.camera + 1).max()?;
+    let period = |camera: usize| {
+        let own = frames.iter().filter(|frame| frame.camera == camera);
+        let times: Vec<Timestamp> = own.map(|frame| frame.capture).collect();
+        let periods: Vec<f64> =
+            times.windows(2).map(|pair| (pair[1] - pair[0]).ns() as f64).collect();
+        median(&periods)
+    };
+    let periods: Vec<f64> = (0..cameras).filter_map(period).collect();
     median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
 }
 
@@ -123,13 +128,16 @@ pub struct Markers<'a> {
     pub trajectories: &'a Trajectories,
     /// The frames of the first camera, in order of time.
     pub frames: &'a [FrameClock],
+    /// The recording's frame rate, hertz.
+    pub fps: f64,
     /// Whether they are of another system, see [`ReferenceComparison::fit`].
     pub align: bool,
 }
 
 impl Markers<'_> {
     /// The distance of the poses; `None` if no pose has markers, or if they cannot be aligned.
-    fn compare(&self, solved: &Solved, fps: f64) -> Option<Reference> {
+    fn compare(&self, solved: &Solved) -> Option<Reference> {
+        let fps = self.fps;
         let mut comparison = ReferenceComparison::new(self.trajectories);
         let body = |(index, capture): (usize, Timestamp)| {
             let next = self.frames.partition_point(|frame| frame.capture < capture);
@@ -196,7 +204,7 @@ pub fn measure(
         hold_out_px: HoldOut::of_all(&hold_out).and_then(|all| all.median_px),
         hold_out,
         coverage: coverage.finish(),
-        reference: markers.and_then(|markers| markers.compare(&solved, take.fps)),
+        reference: markers.and_then(|markers| markers.compare(&solved)),
         mean_acceleration_m_s2: acceleration(&solved, take.fps),
         ms_per_frame: ms / frames.max(1) as f64,
     }))

@@ -40,6 +40,8 @@ impl Filter {
     /// The smoothed track of samples at `fps`.
     pub fn smooth(self, track: &[f64], fps: f64) -> Vec<f64> {
         match self {
+            // Slow frames have no such frequencies, and the filter would not be stable.
+            Self::Butterworth { cutoff_hz } if cutoff_hz >= 0.5 * fps => track.to_vec(),
             Self::Butterworth { cutoff_hz } => zero_phase(track, cutoff_hz / fps),
             Self::Kalman { noise_m, acceleration_m_s2 } => {
                 kalman(track, fps.recip(), noise_m, acceleration_m_s2)

@@ -172,7 +172,9 @@ impl Solver {
         let path = solved.fixed().chain(ahead).collect();
         let (free, work) = (self.config.free_body(), &mut self.work);
         let mut problem = PathProblem::new(scene, path, solved.skeleton, free, observations, work);
-        let marginal = problem.marginal(&problem.start(), BODY_COEFFICIENTS)?;
+        // The frames of fast cameras are not independent: they tell no more of the body.
+        let alike = self.config.keyframe() as f64 / frames;
+        let marginal = problem.marginal(&problem.start(), BODY_COEFFICIENTS)?.scaled(alike);
         let prior = (&OffsetPrior::of(job.format), self.config.cost.offset_prior);
         estimator.with(&marginal, solved.skeleton, noise, prior)
     }
