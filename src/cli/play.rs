@@ -32,7 +32,7 @@ To play cameras from several processes or computers, use the same --start-at for
 Examples:
   bundlemocap play recordings/walk.mcap
   bundlemocap play recordings/walk.mcap --loop --speed 0.5
-  bundlemocap play walk.mcap --connect tcp/192.168.1.10:7447 --camera cam0 --start-at 1795252800
+  bundlemocap play walk.mcap --camera cam01 --start-at $(($(date +%s) + 10))
   bundlemocap play walk.mcap --drop 0.02 --late 0.02 --duplicate 0.02 --reorder 0.02 --seed 1")]
 pub(super) struct Arguments {
     /// MCAP recording with keypoints.

@@ -66,7 +66,7 @@ Examples:
   bundlemocap solve two_people.mcap --out out --performers auto
   bundlemocap solve balancing.mcap --out out --body static/poses.mcap
   bundlemocap solve balancing.mcap --out out --reference pose2sim.trc
-  bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04 --optimiser lbfgs")]
+  bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04")]
 pub(super) struct Arguments {
     /// MCAP recordings with keypoints and a calibrated rig.
     #[arg(required = true, value_name = "RECORDING")]
@@ -132,7 +132,7 @@ pub(super) struct Arguments {
     /// Interpolation of latent codes between keyframes.
     #[arg(long, value_enum)]
     interpolation: Option<InterpolationName>,
-    /// The optimiser of the windows.
+    /// The optimiser of the windows; lbfgs is for the paper's setting, --config config/paper.toml.
     #[arg(long, value_enum)]
     optimiser: Option<OptimiserName>,
     /// Add messages for the 3D view of Foxglove and Lichtblick to poses.mcap. The file is then about

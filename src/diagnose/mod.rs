@@ -297,7 +297,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
     }
     let points = fixed.points(consensus, None);
     let mut general = general.clone();
-    if general.is_empty() {
+    if general.is_empty() && cameras.iter().all(|row| row.findings.is_empty()) {
         general.extend(disagreeing(fixed, consensus));
     }
     // Two cameras that disagree show no performer.

@@ -5,7 +5,7 @@ use super::footage::{APART, Footage, Track, overlap};
 use super::hypotheses::Finding;
 use crate::core::camera::Camera;
 use crate::core::detections::Keypoint as K;
-use crate::core::points::median;
+use crate::core::points::{CONFIDENT, median};
 use crate::core::time::{Nanos, Timestamp};
 
 /// A share of frames that equal the one before. Detections of moving images always differ.
@@ -73,8 +73,13 @@ fn absent(footage: &Footage, cameras: &[Camera], camera: usize) -> Option<Findin
     if let Some(finding) = away(footage, cameras, camera, |_| true) {
         return Some(finding);
     }
-    let frames = &footage.tracks[camera].frames;
+    let Track { frames, points, .. } = &footage.tracks[camera];
     (!frames.is_empty() && frames.iter().all(|frame| frame.people.is_empty())).then(|| {
+        if *points > 0 {
+            let what = format!("its points have confidences below {CONFIDENT}, and are not judged");
+            let fix = "does its detector have another scale? its largest should be about 1";
+            return Finding::new("confidence_unit", what, fix);
+        }
         let fix = "check its detector, the keypoint format and what it looks at";
         Finding::new("nobody", "it sees nobody in any frame", fix)
     })

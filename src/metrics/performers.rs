@@ -231,6 +231,19 @@ mod tests {
         sums.scores().unwrap()
     }
 
+    /// Two who had one estimate, one after the other, come near each other: the nearer one has it.
+    #[test]
+    fn one_estimate_is_of_one_person() {
+        let apart: Named = &[("a", 0.0), ("b", 5.0)];
+        let scores = scores(&[
+            (&[("p1", 0.0)], apart),
+            (&[("p1", 5.0)], apart),
+            (&[("p1", 5.0)], &[("a", 5.2), ("b", 5.0)]),
+        ]);
+        assert_eq!((scores.misses, scores.false_positives), (3, 0));
+        assert_eq!(scores.precision_percent, 100.0);
+    }
+
     #[test]
     fn people_are_counted_and_their_errors_are_measured() {
         let truth: &[(&str, f64)] = &[("anna", 0.0), ("ben", 2.0)];

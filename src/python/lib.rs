@@ -9,7 +9,6 @@ mod tracker;
 use std::ffi::OsString;
 use std::path::Path;
 
-use bundlemocap::io::recording::Report;
 use bundlemocap::{Joint, KeypointFormat};
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;
@@ -24,8 +23,7 @@ fn error(error: impl std::fmt::Display) -> PyErr {
 }
 
 /// Warns of what a damaged recording lost.
-fn warn_of(py: Python, path: &Path, report: &Report) -> PyResult<()> {
-    let losses = report.losses();
+fn warn_of(py: Python, path: &Path, losses: &[String]) -> PyResult<()> {
     if losses.is_empty() {
         return Ok(());
     }

@@ -112,7 +112,7 @@ pub(crate) struct Solved {
 
 fn motions(py: Python, path: &std::path::Path) -> PyResult<BTreeMap<String, Py<Motion>>> {
     let (found, report) = py.detach(|| offline::read_motions(path, false)).map_err(error)?;
-    warn_of(py, path, &report)?;
+    warn_of(py, path, &report.losses())?;
     if found.is_empty() {
         let fix = "solve it first, then use its poses.mcap";
         return Err(error(format!("{} holds no poses; {fix}", path.display())));
@@ -142,19 +142,22 @@ pub(crate) enum Count {
     Text(String),
 }
 
-/// The given number of performers, or that of the settings.
-pub(crate) fn performers_of(given: Option<Count>, config: &Config) -> PyResult<Performers> {
-    let text = match given {
-        None => return Ok(config.stage.performers),
-        Some(Count::Number(number)) => number.to_string(),
-        Some(Count::Text(text)) => text,
-    };
-    text.parse().map_err(|what| error(format!("performers: {what}")))
-}
-
-/// The settings of a file, or the defaults.
-pub(crate) fn settings(path: Option<PathBuf>) -> PyResult<Config> {
-    path.map_or(Ok(Config::default()), |path| Config::load(&path)).map_err(error)
+/// The settings of a file, or the defaults, with the given number of performers.
+pub(crate) fn settings(path: Option<PathBuf>, performers: Option<Count>) -> PyResult<Config> {
+    let config = path.map_or(Ok(Config::default()), |path| Config::load_partial(&path));
+    let mut config = config.map_err(error)?;
+    let text = performers.map(|given| match given {
+        Count::Number(number) => number.to_string(),
+        Count::Text(text) => text,
+    });
+    if let Some(text) = text {
+        let performers = text.parse().map_err(|what| error(format!("performers: {what}")))?;
+        config.stage.performers = performers;
+    }
+    match config.conflict_of_people() {
+        Some(reason) => Err(error(reason)),
+        None => Ok(config),
+    }
 }
 
 /// Solves a recording: a path, or a Recording.
@@ -182,8 +185,8 @@ pub(crate) fn solve(
             path
         }
     };
-    let config = settings(config)?;
-    let performers = performers_of(performers, &config)?;
+    let config = settings(config, performers)?;
+    let performers = config.stage.performers;
     let out = out.unwrap_or_else(|| folder.path().join("out"));
     let options = Options {
         config: config.tracker,
@@ -202,12 +205,14 @@ pub(crate) fn solve(
     let mut interrupts = Interrupts::default();
     let group = py.detach(|| {
         let mut recording = offline::Recording::open(&path)?;
-        solve_group(&mut recording, &options, &mut interrupts)
+        let group = solve_group(&mut recording, &options, &mut interrupts)?;
+        Ok::<_, offline::Error>((group, recording.losses()))
     });
     if let Some(interrupt) = interrupts.interrupt {
         return Err(interrupt);
     }
-    let group = group.map_err(error)?;
+    let (group, losses) = group.map_err(error)?;
+    warn_of(py, &path, &losses)?;
     if let Some(folder) = config.bodies_folder() {
         group.write_bodies(folder).map_err(error)?;
     }

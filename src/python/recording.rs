@@ -34,7 +34,9 @@ pub(crate) fn format_of(name: &str) -> PyResult<KeypointFormat> {
 /// finite, or if the confidence is not above 0.
 pub(crate) fn people(format: KeypointFormat, points: &[[f64; 3]]) -> Vec<Person> {
     let detection = |&[x, y, confidence]: &[f64; 3]| {
-        let is_seen = x.is_finite() && y.is_finite() && confidence.is_finite() && confidence > 0.0;
+        // Messages have the numbers of 32 bits.
+        let is_finite = [x, y, confidence].iter().all(|value| (*value as f32).is_finite());
+        let is_seen = is_finite && confidence > 0.0;
         let pixel = Point2::new(x, y);
         is_seen.then(|| Detection { pixel, confidence: confidence.min(1.0) })
     };
@@ -146,7 +148,7 @@ impl Recording {
     #[staticmethod]
     fn read(py: Python, path: PathBuf) -> PyResult<Self> {
         let (rig, found, report) = py.detach(|| read(&path))?;
-        warn_of(py, &path, &report)?;
+        warn_of(py, &path, &report.losses())?;
         let keypoints =
             found.into_iter().map(|(name, keypoints)| Ok((name, Py::new(py, keypoints)?)));
         Ok(Self { rig, keypoints: keypoints.collect::<PyResult<_>>()? })
@@ -210,7 +212,7 @@ impl Messages {
 
     fn __next__<'py>(&mut self, py: Python<'py>) -> PyResult<Option<Sent<'py>>> {
         let Some(entry) = py.detach(|| self.0.next_raw()) else {
-            return warn_of(py, self.0.path(), self.0.report()).map(|()| None);
+            return warn_of(py, self.0.path(), &self.0.report().losses()).map(|()| None);
         };
         let entry = entry.map_err(error)?;
         let payload = PyBytes::new(py, &entry.payload);

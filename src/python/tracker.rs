@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use bundlemocap::core::body::JOINTS;
-use bundlemocap::core::stage::{Input, Output, Stage};
+use bundlemocap::core::stage::{Input, Names, Output, Stage};
 use bundlemocap::core::tracker;
 use bundlemocap::{
     Decoder, Detections, KeypointFormat, Nanos, PerformerId, Solver, StampedPose, Timestamp,
@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use crate::arrays::{Array, array};
 use crate::camera::Rig;
 use crate::error;
-use crate::motion::{Body, Count, deviations, performers_of, positions, rotations, settings};
+use crate::motion::{Body, Count, deviations, positions, rotations, settings};
 use crate::recording::{capture, format_of, numbers, people};
 
 /// Between two frames of a camera: 10 kHz.
@@ -104,10 +104,12 @@ impl Staged {
                 }
                 Output::Performer(performer, tracker::Output::Pose(pose)) => {
                     let Some(body) = self.bodies.get(&performer).cloned() else { continue };
-                    poses.push(Pose { performer: performer.to_string(), pose: *pose, body });
+                    let performer = self.stage.name_of(performer);
+                    poses.push(Pose { performer, pose: *pose, body });
                 }
                 Output::Performer(performer, tracker::Output::Event(event)) => {
                     let (kind, detail) = (event.kind.name(), &event.detail);
+                    let performer = self.stage.name_of(performer);
                     self.events.push(format!("{performer}: {kind}: {detail}"));
                 }
                 Output::Event(event) => {
@@ -136,12 +138,15 @@ impl Tracker {
         performers: Option<Count>,
         config: Option<PathBuf>,
     ) -> PyResult<Self> {
-        let config = settings(config)?;
-        let performers = performers_of(performers, &config)?;
+        let config = settings(config, performers)?;
+        let known = config.known_people().map_err(error)?;
         let decoder = Decoder::embedded().map_err(error)?;
         let tracker = bundlemocap::Tracker::new(config.tracker, rig.0.clone());
         let stage = Staged {
-            stage: Stage::new(tracker, performers, None).choosing(config.stage.choice()),
+            stage: Stage::new(tracker, config.stage.performers, None)
+                .choosing(config.stage.choice())
+                .naming(Names::new(config.stage.names.clone()))
+                .with_known(&known),
             solver: Solver::new(decoder, config.tracker),
             bodies: BTreeMap::new(),
             frames: vec![0; rig.0.cameras.len()],

@@ -156,6 +156,37 @@ fn toml_of_pose2sim_and_freemocap_is_read_in_any_unit_and_axes() {
 }
 
 #[test]
+fn a_file_without_image_sizes_takes_images_of_about_the_size_of_the_lens() {
+    let text = pose2sim(&InFile::all(&rig(), Up::Z, 1.0));
+    let text: Vec<&str> = text.lines().filter(|line| !line.starts_with("size")).collect();
+    let (_folder, path) = file("Calib.toml", text.join("\n"));
+    let found = read(&path);
+    assert_eq!(found.without_size.len(), found.rig.cameras.len());
+    for camera in &found.rig.cameras {
+        let [width, height] = [camera.width, camera.height];
+        assert!(camera.is_of_size([width, height]) && camera.is_of_size([width + 13, height]));
+        assert!(!camera.is_of_size([width / 2, height / 2]), "halved");
+        let scaled = [width, height].map(|px| (f64::from(px) * 1.05).round() as u32);
+        assert!(!camera.is_of_size(scaled), "scaled");
+    }
+}
+
+#[test]
+fn poses_that_are_none_are_refused() {
+    for (right, wrong) in [
+        ("rotation = [", "rotation = [170.0, 20.0, 3.0]\nwas = ["),
+        (
+            "rotation = [",
+            "extrinsics = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]]\nwas = [",
+        ),
+    ] {
+        let text = pose2sim(&InFile::all(&rig(), Up::Z, 1.0)).replacen(right, wrong, 1);
+        let (_folder, path) = file("Calib.toml", text);
+        read_calibration(&path, &Convention::default()).unwrap_err();
+    }
+}
+
+#[test]
 fn toml_of_caliscope_is_read_without_ignored_cameras() {
     let rig = rig();
     let mut text =
@@ -434,6 +465,16 @@ fn xml_of_vicon_is_read_with_its_inverse_distortion() {
     }
     text += "<Camera DEVICEID=\"7\" SYSTEM=\"Vicon\" SENSOR_SIZE=\"1 1\"><KeyFrames><KeyFrame/></KeyFrames></Camera>";
     let (_folder, path) = file("take.xcp", text + "</Cameras>");
+    let whole = std::fs::read_to_string(&path).unwrap();
+    for (right, wrong) in [
+        ("FOCAL_LENGTH=\"", "FOCAL_LENGTH=\"0\" WAS=\""),
+        ("ViconRadial2 640 512 ", "ViconRadial2 640 512 nan "),
+        ("PRINCIPAL_POINT=\"", "PRINCIPAL_POINT=\"nan nan\" WAS=\""),
+    ] {
+        assert!(whole.contains(right), "{right}");
+        let (_folder, path) = file("wrong.xcp", whole.replacen(right, wrong, 1));
+        read_calibration(&path, &Convention::default()).unwrap_err();
+    }
     let found = read(&path);
     assert_eq!((found.format, found.up, found.unit.metres()), ("Vicon", Up::Z, 1e-3));
     assert_eq!(found.notes, Vec::<String>::new());

@@ -30,10 +30,16 @@ pub struct Stage {
 
 impl Stage {
     pub fn new(people: usize, cameras: usize, seconds: u64) -> Self {
+        Self::of_bodies(people, cameras, seconds, |person| person)
+    }
+
+    /// `body`: whose body each has.
+    fn of_bodies(people: usize, cameras: usize, seconds: u64, body: fn(usize) -> usize) -> Self {
         let meeting = Meeting { people, distance: Some(0.7) };
         let rig = meeting.rig(cameras).unwrap();
         let one = |person| {
-            let (skeleton, motion) = meeting.person(person, SEED);
+            let motion = meeting.person(person, SEED).1;
+            let skeleton = meeting.person(body(person), SEED).0;
             let motion = Box::new(motion) as Box<dyn Fn(f64) -> CorePose>;
             let mut one = Recording::new(rig.clone(), skeleton, motion);
             (one.frames, one.noise, one.start) = (60 * seconds, Noise::clean(), START);
@@ -284,6 +290,48 @@ fn bodies_that_are_forgotten_are_estimated_again_and_everybody_keeps_the_name() 
     assert_eq!((count(&world, "entered"), count(&world, "reentered")), (2, 0));
 }
 
+/// The camera whose frames come last sends every second one for a second, and then all of them again.
+#[test]
+fn a_camera_that_was_slow_for_a_moment_is_waited_for_again() {
+    let stage = Stage::new(3, 4, 10);
+    let messages = stage.messages(|frame| {
+        let is_last = frame.camera == 3;
+        let is_slow = (at(3.0)..at(4.0)).contains(&frame.capture) && frame.frame % 2 == 1;
+        let mut sent = stage.studio.message(frame);
+        sent.arrival = sent.arrival + if is_last { Nanos::from_ms(8) } else { Nanos::ZERO };
+        (!is_last || !is_slow).then_some(sent)
+    });
+    let world = stage.play(messages, 10.0);
+    let statuses = world.heard.of::<wire::Status>(&Topics::default().status());
+    let camera = &statuses.last().unwrap().1.cameras[3];
+    println!("{} used, {} late, {} missing", camera.used, camera.late, camera.missing);
+    assert!(camera.used > 520 && camera.late < 40, "of 570: {} and {}", camera.used, camera.late);
+    // The frames that came late are not missing too.
+    assert!((20..=31).contains(&camera.missing), "{} of 30", camera.missing);
+}
+
+/// Three people of one build: only their places tell who is who when takes begin and the clock steps.
+#[test]
+fn twins_keep_their_names_when_everybody_is_lost_for_a_moment() {
+    let mut stage = Stage::of_bodies(3, 4, 10, |_| 0);
+    for frame in stage.studio.frames.iter_mut().filter(|frame| frame.capture >= at(7.0)) {
+        frame.capture = frame.capture - Nanos::from_ms(500);
+    }
+    let mut messages = stage.all();
+    messages.extend([slate("start", "one", 3.0), slate("start", "two", 5.0)]);
+    let world = stage.play(messages, 9.0);
+    let mut all = BTreeSet::new();
+    for name in ["p1", "p2", "p3"] {
+        let poses = poses_of(&world, name, [0.0, 9.0]);
+        let early = poses.into_iter().filter(|pose| pose.capture_time_ns < at(6.4).ns());
+        let (person, off) = nearest_person(&stage, early);
+        println!("{name} is person {person}, {off:.2} m");
+        assert!(all.insert(person) && off < 0.4, "{name} {person} {off}");
+    }
+    // In the last take.
+    assert_eq!(count(&world, "entered"), 0);
+}
+
 /// The cameras' common clock steps back by 10 s: everybody goes on within a few seconds.
 #[test]
 fn a_clock_that_steps_back_stops_nobody() {
@@ -456,6 +504,11 @@ fn a_number_is_somebody_elses_when_a_performer_without_a_name_has_left() {
 fn person_of(world: &World, stage: &Stage, name: &str) -> (usize, f64) {
     let poses = poses_of(world, name, [0.0, 9.0]);
     assert!(poses.len() > 100, "{name}: {} poses", poses.len());
+    nearest_person(stage, poses.into_iter())
+}
+
+fn nearest_person(stage: &Stage, poses: impl Iterator<Item = Pose>) -> (usize, f64) {
+    let poses: Vec<Pose> = poses.collect();
     let off = |person: usize| {
         let motion = stage.meeting.person(person, SEED).1;
         let off = poses.iter().map(|pose| {

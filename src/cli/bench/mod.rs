@@ -79,7 +79,7 @@ struct Latency {
     /// Standard deviation of the error of capture times, below 100 ms.
     #[arg(long, value_name = "MS", default_value_t = 0.0, value_parser = jitter, allow_negative_numbers = true)]
     jitter_ms: f64,
-    /// Settings file of the node; its addresses, names and calibration are ignored.
+    /// Settings file of the node, for one performer; its addresses, certificates, names and calibration are ignored.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Print one JSON object instead of the table.

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use super::arguments::Motions;
 use crate::cli::failure::{Exit, Failure, frame_rate_option};
 use crate::cli::solve::decoder;
-use crate::cli::terminal::progress;
+use crate::cli::terminal::{complain, progress};
 use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
-use crate::core::manifold::Decoder;
+use crate::core::manifold::{Decoder, trained_on};
 use crate::research::experiments::{Case, Methods, Run, Subject, View, procedural, run, subjects};
 use crate::research::synth::{Body, Noise, Protocol, RigError, rig_named};
 use crate::research::train::{self, Clip, read_folder};
@@ -65,6 +65,15 @@ impl Setup {
         if protocol.seeds.is_empty() {
             let message = "the protocol names no seed; give one with --seed";
             return Err(Failure::new(Exit::Usage, message));
+        }
+        let weights = views.output.weights.as_deref().and_then(|path| std::fs::read(path).ok());
+        let trained = weights.map_or_else(Vec::new, |bytes| trained_on(&bytes));
+        let known = protocol.subjects.iter().filter(|subject| trained.contains(subject));
+        let known: Vec<&str> = known.map(String::as_str).collect();
+        if folder.is_some() && !others && !known.is_empty() {
+            let what = "the weights were trained on clips of subjects";
+            let text = format!("{what} {}: their errors say little", known.join(", "));
+            complain("warning", &text);
         }
         Ok(Self {
             decoder: decoder(views.output.weights.as_deref())?,
@@ -179,9 +188,7 @@ fn protocol(motions: &Motions) -> Result<Protocol, Failure> {
     if let Some(body) = Body::ALL.into_iter().find(|known| body.as_deref() == Some(known.name())) {
         protocol.sequence.body = body;
     }
-    if let Some(fps) = views.fps {
-        protocol.sequence.fps = frame_rate_option(fps)?;
-    }
+    protocol.sequence.fps = frame_rate_option(views.fps.unwrap_or(protocol.sequence.fps))?;
     if let Some(seconds) = views.seconds {
         protocol.sequence.seconds = within("--seconds", seconds, 0.5, 36_000.0)?;
         let least = &mut protocol.sequence.least_seconds;

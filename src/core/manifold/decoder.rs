@@ -68,7 +68,7 @@ impl Decoder {
         })
     }
 
-    /// The decoder that ships with the program; see `src/manifold/MODEL_CARD.md`.
+    /// The decoder that ships with the program; see `src/core/manifold/MODEL_CARD.md`.
     pub fn embedded() -> Result<Self, WeightsError> {
         Self::from_bytes(EMBEDDED)
     }

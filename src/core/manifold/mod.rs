@@ -16,7 +16,7 @@ pub use interpolate::Interpolation;
 pub use interpolate::LatentTangent;
 pub(in crate::core) use keyframe::in_order;
 pub use keyframe::{Keyframe, StampedKeyframe, TimedKeyframe};
-pub use weights::WeightsError;
+pub use weights::{WeightsError, trained_on};
 
 /// Size of a latent code.
 pub const LATENT: usize = 32;

@@ -92,6 +92,12 @@ pub(crate) fn checked_metadata(
     Ok(metadata)
 }
 
+/// The subjects whose clips weights were trained on, if the file says so.
+pub fn trained_on(bytes: &[u8]) -> Vec<String> {
+    let subjects = checked_metadata(bytes, FORMAT).ok().and_then(|mut all| all.remove("subjects"));
+    subjects.iter().flat_map(|all| all.split(',')).map(str::to_owned).collect()
+}
+
 /// The layers of the network `name`, from its first to its last width.
 pub(crate) fn layers(
     tensors: &SafeTensors,

@@ -121,6 +121,9 @@ impl Default for Config {
     }
 }
 
+/// The body is estimated with all keyframes of a window at once: the time grows with the cube of their number.
+const MOST_KEYFRAMES: f64 = 100.0;
+
 impl Config {
     /// The settings of \[Albanis 2023\]: one keyframe for each window of ten frames, slerp, windows that
     /// do not overlap, L-BFGS with 30 iterations.
@@ -163,6 +166,12 @@ impl Config {
             Limit::rate_or_0("frame_rate_hz", self.frame_rate_hz, "0 (estimated) or 1 to 1000"),
             Limit::one_to_1000("window_frames", self.window_frames),
             Limit::one_to_1000("keyframe_frames", self.keyframe_frames),
+            Limit(
+                "window_frames",
+                (self.window_frames / self.keyframe_frames.max(1)) as f64,
+                0.0..=MOST_KEYFRAMES,
+                "at most 100 keyframes",
+            ),
             Limit::one_to_1000("publish_frames", self.publish_frames),
             Limit::rate_or_0("reference_rate_hz", self.reference_rate_hz, "0 (never) or 1 to 1000"),
             Limit::up_to_1000("deadline_frames", self.deadline_frames),

@@ -56,8 +56,9 @@ pub fn read_trajectories(
         false => trc::parse(&String::from_utf8_lossy(&bytes)),
     };
     let mut read = read.map_err(|error| error.in_file(path))?;
-    if let Some(map) = map {
-        read = read.mapped(map, path)?;
+    match map {
+        Some(map) => read = read.mapped(map, path)?,
+        None => read.check_subject().map_err(|error| error.in_file(path))?,
     }
     read.checked().map_err(|error| error.in_file(path))
 }

@@ -177,12 +177,17 @@ impl Trajectories {
         if !(1.0..=1e4).contains(&self.frame_rate) {
             return Err(TrajectoryError::Rate { rate: self.frame_rate });
         }
-        if let Some([one, other]) = LIMBS.iter().find_map(|limb| self.rivals(*limb)) {
-            return Err(TrajectoryError::Subjects { one, other });
-        }
         match LIMBS.iter().any(|limb| self.column_of(*limb).is_some()) {
             true => Ok(self),
             false => Err(TrajectoryError::NoPoint { names: self.names }),
+        }
+    }
+
+    /// Checks that the markers are those of one subject.
+    pub(super) fn check_subject(&self) -> Result<(), TrajectoryError> {
+        match LIMBS.iter().find_map(|limb| self.rivals(*limb)) {
+            Some([one, other]) => Err(TrajectoryError::Subjects { one, other }),
+            None => Ok(()),
         }
     }
 

@@ -195,6 +195,8 @@ mod tests {
         assert_eq!(trc.rows[0][1], Some(Vector3::new(1.2, 0.0, 0.0)));
         assert_eq!(trc.rows[1][1], None);
         assert_eq!(trc.rows[2][1..], [None, None]);
+        let zeros = FILE.replace("1000\t0\t0\t\t\t\t1", "1000\t0\t0\t0\t0\t0\t1");
+        assert_eq!(parse(&zeros).unwrap().rows[1][1], None, "a gap of zeros");
         assert_eq!(trc.column_of(Keypoint::LHip), Some(1));
         assert_eq!(trc.column_of(Keypoint::Nose), None);
         // A program that counts frames from 1 and times from 0.
