@@ -5,11 +5,11 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use bundlemocap::StampedPose;
 use bundlemocap::config::Config;
 use bundlemocap::core::body::{JOINTS, Pose as CorePose, Skeleton};
 use bundlemocap::core::so3;
 use bundlemocap::offline::{self, Observer, Options, solve_group};
-use bundlemocap::{Performers, StampedPose};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 

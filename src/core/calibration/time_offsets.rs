@@ -62,7 +62,7 @@ pub(crate) fn offset_step(period: Nanos) -> Nanos {
     period * ((LEAST.ns() - 1) / period.ns().max(1) + 1)
 }
 
-/// The time offsets of cameras, from tracks of their views. Offsets up to six steps are found, see [`offset_step`]. Those
+/// The time offsets of cameras, from tracks of their views. Offsets up to six steps are found. Those
 /// of the first cameras may be `known`.
 pub fn time_offsets(
     tracks: &Tracks,

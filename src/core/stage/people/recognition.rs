@@ -19,6 +19,8 @@ const AWAY_M_S: f64 = 3.0;
 /// performer.
 const INTERRUPTED: Nanos = Nanos::from_ms(3000);
 const IN_PLACE_M: f64 = 0.5;
+/// Nobody else can be so near so soon, whatever the lengths say.
+const AT_ONCE: (Nanos, f64) = (Nanos::from_ms(500), 0.25);
 /// Bodies that differ by less (`Lengths::difference`) are one person's.
 const SAME_BODY: f64 = 1.7;
 /// The same where a performer is expected: one is missed near there, or all who may come are known.
@@ -160,18 +162,19 @@ impl People {
     fn in_place_of(&self, index: usize) -> Option<usize> {
         let off = |one: &Absent, member: &Member| {
             let (before, now) = (&one.person, &member.person);
-            let is_other = || {
-                let difference = before.lengths.difference(&now.lengths);
-                difference.is_some_and(|difference| difference > OTHER_BODY)
-            };
+            let gap = now.first - before.seen;
             let is_possible = one.is_interrupted
                 && !one.is_elsewhere
                 && matches!(member.role, Role::Candidate(_))
-                && (Nanos::ZERO..INTERRUPTED).contains(&(now.first - before.seen))
-                && self.may_return(one)
-                && !is_other();
-            let off = apart(before.points(), now.points()).filter(|_| is_possible);
-            off.filter(|off| *off < IN_PLACE_M)
+                && (Nanos::ZERO..INTERRUPTED).contains(&gap)
+                && self.may_return(one);
+            let off = apart(before.points(), now.points()).filter(|_| is_possible)?;
+            let is_alike = || {
+                let difference = before.lengths.difference(&now.lengths);
+                difference.is_none_or(|difference| difference < OTHER_BODY)
+            };
+            let is_it = off < IN_PLACE_M && (gap < AT_ONCE.0 && off < AT_ONCE.1 || is_alike());
+            is_it.then_some(off)
         };
         let place = nearest(self.absent.iter().map(|one| off(one, &self.members[index])))?;
         let here = nearest(self.members.iter().map(|other| off(&self.absent[place], other)));
