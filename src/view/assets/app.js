@@ -187,7 +187,7 @@ function showNode(people) {
   const script = [...scripts].sort((a, b) => a - b);
   const [p50, p99] = [0.5, 0.99].map((share) => script[Math.floor(share * script.length)]?.toFixed(1));
   Object.assign(document.body.dataset, { pictures, script: `${p50}, ${p99}`, bytes: source.bytes });
-  document.body.dataset.people = people.length;
+  document.body.dataset.people = drawn(people).length;
   document.body.dataset.through = view.through?.lens.name ?? "";
   document.body.dataset.view = view.camera.position.toArray().map((metres) => metres.toFixed(2)).join(" ");
   document.body.dataset.time = chosen.time.toFixed(3);
