@@ -141,11 +141,14 @@ class Stored:
 
     def __init__(self, recording, camera):
         _, frames = recorded(recording)
-        first = min((frame.frame for frame in frames), default=0)
+        all_cameras = min((frame.frame for frame in frames), default=0)
         frames = [frame for frame in frames if frame.camera == camera]
         if not frames:
             raise SystemExit(f"{recording}: no keypoints of {camera}")
         self.format = frames[0].format
+        # Live, each camera may have a counter of its own.
+        first = min(frame.frame for frame in frames)
+        first = all_cameras if first - all_cameras < 100 else first
         self._people = {
             frame.frame - first: [triples(person.points) for person in frame.people] for frame in frames
         }

@@ -79,7 +79,9 @@ impl BusArguments {
 
     /// The topics of the stage, of all actors unless one is named.
     pub(super) fn topics(&self, config: &Config) -> Topics {
-        let is_named = self.actor.is_some() || config.node.actor != Config::default().node.actor;
+        // With several performers, that name is the node's.
+        let is_set = || config.node.actor != Config::default().node.actor;
+        let is_named = self.actor.is_some() || !config.stage.several() && is_set();
         let own = topics(config);
         if is_named { own } else { Topics { actor: "*".to_owned(), ..own } }
     }

@@ -10,7 +10,8 @@ use super::overwrite::Overwrite;
 use super::solve::{Progress, lost};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
-use crate::core::calibration::OFFSET_REACH;
+use crate::core::calibration::{OFFSET_REACH, offset_step};
+use crate::core::time::Nanos;
 use crate::io::formats::{Up, write_calibration};
 use crate::offline::{
     CameraCorrection, CameraOffset, CheckedCameras, Options, Recording, check_cameras,
@@ -82,7 +83,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         complain("note", &format!("{note}; no calibration can correct it, `solve` does"));
     }
     let is_far = |one: &CameraOffset| {
-        one.applied && one.offset_frames.is_some_and(|frames| frames.abs() > OFFSET_REACH as f64)
+        let Some((ms, frames)) = one.offset_ms.zip(one.offset_frames) else { return false };
+        let step = offset_step(Nanos::rounded(1e6 * ms / frames));
+        one.applied && ms.abs() > (step * OFFSET_REACH).ms()
     };
     if arguments.out.is_some() && found.offsets.iter().any(is_far) {
         let note =

@@ -1,6 +1,6 @@
 //! `bundlemocap check`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::json;
@@ -10,6 +10,8 @@ use super::failure::{Exit, Failure};
 use super::rig::ConventionArguments;
 use super::solve::{Progress, lost};
 use super::terminal::{complain, progress, say};
+use crate::core::camera::Rig;
+use crate::diagnose::Check;
 use crate::offline::{self, Recording};
 
 /// Judge the cameras of a recording: what is wrong, and what would fix it.
@@ -28,7 +30,7 @@ With two cameras it is not known which one is wrong: what would make them agree 
 only a shift of the capture times, one of the two is named. An error is named from about 2 % of the
 performer's height on, an error of a clock from about 1 %.
 
-Exit code 6: a part of a recording cannot be read. 15: with --strict, something is wrong.
+Exit code 6: a recording, or a part of it, cannot be read. 15: with --strict, something is wrong.
 
 Examples:
   bundlemocap check take.mcap
@@ -51,19 +53,33 @@ pub(super) struct Arguments {
     json: bool,
 }
 
+/// Judges a recording; also says what was lost of it.
+fn judge(file: &Path, rig: Option<Rig>, arguments: &Arguments) -> Result<(Check, Exit), Failure> {
+    let rig = rig.map_or_else(|| arguments.convention.of(file), |rig| Ok(Some(rig)))?;
+    let mut recording = Recording::open_with(file, rig)?;
+    let mut bar = Progress(progress(recording.messages(), "messages"));
+    let check = offline::check(&mut recording, &mut bar)?;
+    bar.0.finish_and_clear();
+    recording.rig_note().iter().for_each(|note| complain("note", note));
+    Ok((check, lost(&recording)))
+}
+
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let rig = arguments.rig.as_deref();
     let rig = rig.map(|rig| super::rig::read(rig, &arguments.convention)).transpose()?;
     let (mut found, mut wrong, mut exit) = (Vec::new(), Vec::new(), Exit::Done);
     for file in &arguments.files {
-        let rig = rig.clone().map_or_else(|| arguments.convention.of(file), |rig| Ok(Some(rig)))?;
-        let mut recording = Recording::open_with(file, rig)?;
-        let mut bar = Progress(progress(recording.messages(), "messages"));
-        let check = offline::check(&mut recording, &mut bar)?;
-        bar.0.finish_and_clear();
-        recording.rig_note().iter().for_each(|note| complain("note", note));
-        if lost(&recording) != Exit::Done {
-            exit = Exit::InPart;
+        let (check, whole) = match judge(file, rig.clone(), arguments) {
+            Ok(judged) => judged,
+            Err(failure) if arguments.files.len() > 1 => {
+                complain("error", &failure.line());
+                exit = Exit::InPart;
+                continue;
+            }
+            Err(failure) => return Err(failure),
+        };
+        if whole != Exit::Done {
+            exit = whole;
         }
         if !arguments.json {
             if arguments.files.len() > 1 {

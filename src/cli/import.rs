@@ -168,11 +168,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             best.measure(arguments, path)?;
         }
     }
-    let calibration = best.calibration.clone();
-    tell(&arguments.calibration, &calibration);
+    tell(&arguments.calibration, &best.calibration);
     best.tell(&arguments.camera);
     let frames = best.folder.frame_count();
-    best.file.persist(&arguments.out).map_err(|error| unwritable(arguments, &error.error))?;
+    best.file.persist(&arguments.out).map_err(|error| unwritable(arguments, error.error))?;
     say(&format!("{}: {frames} frames", arguments.out.display()));
     Ok(Exit::Done)
 }
@@ -226,8 +225,8 @@ struct Attempt {
     convention: ConventionArguments,
 }
 
-fn unwritable(arguments: &Arguments, error: &std::io::Error) -> Failure {
-    Failure::new(Exit::Unexpected, format!("{}: {error}", arguments.out.display()))
+fn unwritable(arguments: &Arguments, error: std::io::Error) -> Failure {
+    crate::io::formats::ExportError::write(&arguments.out)(error).into()
 }
 
 /// A recording that was written, beside its place.
@@ -244,7 +243,7 @@ struct Imported {
 impl Imported {
     fn of(arguments: &Arguments, path: &Path, attempt: Attempt) -> Result<Self, Failure> {
         let file = temporary(&arguments.out);
-        let file = file.map_err(|error| unwritable(arguments, &error))?.into_temp_path();
+        let file = file.map_err(|error| unwritable(arguments, error))?.into_temp_path();
         let calibration = attempt.convention.read(&arguments.calibration)?;
         let rig = &calibration.rig;
         let options = DetectionOptions {

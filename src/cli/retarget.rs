@@ -166,8 +166,9 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     let topics = arguments.bus.topics(&config);
     if let Some(out) = arguments.out.as_deref().filter(|_| topics.actor == "*") {
         // The performers are not known yet.
-        for path in files_of_performers(out) {
-            arguments.overwrite.check_beside(&arguments.skeleton, &path)?;
+        let files = files_of_performers(out).into_iter();
+        for path in files.filter(|path| !is_same_file(path, &arguments.skeleton)) {
+            arguments.overwrite.check(&path)?;
         }
     }
     let bus = open(&config)?;
@@ -175,7 +176,15 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     // The file of a lone performer has the given name.
     let out = |actor: &String| {
         let named = (topics.actor == "*" && *actor != config.node.actor).then_some(actor);
-        arguments.out.as_deref().map(|out| path_of(out, named))
+        let path = arguments.out.as_deref().map(|out| path_of(out, named));
+        path.filter(|path| {
+            let is_input = is_same_file(path, &arguments.skeleton);
+            if is_input {
+                let text = format!("{actor} is not written: {} is the --skeleton", path.display());
+                complain("warning", &text);
+            }
+            !is_input
+        })
     };
     let live = Live::open(&*bus, &topics, &name, retarget, &out)?;
     note(&format!("{} to {}; stop with Ctrl-C", topics.pose(), topics.retargeted(&name)));

@@ -152,11 +152,21 @@ impl ConventionArguments {
         if self.words().is_empty() {
             return Ok(None);
         }
+        if self.set.is_some() {
+            let message =
+                "--set is of a calibration with several poses of a camera; give it with --rig";
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        // Its poses are known.
+        let poses = Auto(self.poses.0.or(Some(Poses::CameraFromWorld)));
+        let how = Self { poses, ..self.clone() };
         // As if it was a file of a calibration.
         let file = tempfile::Builder::new().suffix(".toml").tempfile();
         let file = file.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?;
         write_calibration(file.path(), &own_rig(recording)?, Up::Y)?;
-        Ok(Some(self.read(file.path())?.rig))
+        let read = how.read(file.path())?;
+        tell(recording, &read);
+        Ok(Some(read.rig))
     }
 
     /// As words of a command, each with a space before it; empty if nothing was given.

@@ -118,6 +118,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let seconds = run_time(arguments.seconds)?;
     let decoder = decoder(arguments.weights.as_deref())?;
     let body = match config.node.body.as_str() {
+        "" if arguments.body_actor.is_some() => {
+            return Err(Failure::new(Exit::Usage, "--body-actor is of --body; give that, too"));
+        }
         "" => None,
         path => {
             let body = last_body(Path::new(path), arguments.body_actor.as_deref())?;

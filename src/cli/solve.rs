@@ -322,7 +322,9 @@ impl Prepared {
         bar: impl FnOnce(u64) -> ProgressBar,
     ) -> Result<Solved, Failure> {
         let performers = self.config.stage.performers;
-        is_no_input(file, &out.join("poses.mcap"))?;
+        for input in arguments.body.iter().map(PathBuf::as_path).chain([file]) {
+            is_no_input(input, &out.join("poses.mcap"))?;
+        }
         let rig =
             self.rig.clone().map_or_else(|| arguments.convention.of(file), |rig| Ok(Some(rig)))?;
         let mut recording = Recording::open_with(file, rig)?;
@@ -354,7 +356,9 @@ impl Prepared {
         let group = solve_group(&mut recording, &options, &mut progress)?;
         progress.0.finish_and_clear();
         let names = group.performers.iter().map(|one| one.performer.clone());
-        remove_others(out, &files(&names.collect::<Vec<_>>(), performers));
+        if overwrite {
+            remove_others(out, &files(&names.collect::<Vec<_>>(), performers));
+        }
         if let Some(folder) = self.config.bodies_folder() {
             for (name, file) in group.write_bodies(folder)? {
                 note(&format!("the body of {name} is written to {}", file.display()));
@@ -379,16 +383,18 @@ pub(super) fn lost(recording: &Recording) -> Exit {
     Exit::InPart
 }
 
-/// Removes the files of performers of an earlier solve: a new one may have others.
+/// Removes the files of performers of an earlier solve: a new one may have others. Only a solve writes states.
 fn remove_others(out: &Path, files: &[String]) {
+    const STATES: &str = ".states.csv";
     let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
-    for entry in entries {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let is_ours = name.starts_with("poses.")
-            && [".bvh", ".states.csv", ".timecode.txt"].iter().any(|ending| name.ends_with(ending));
-        if is_ours && !files.contains(&name) {
+    for states in entries.map(|entry| entry.file_name().to_string_lossy().into_owned()) {
+        let stem = states.strip_suffix(STATES).filter(|stem| stem.starts_with("poses"));
+        let Some(stem) = stem.filter(|_| !files.contains(&states)) else { continue };
+        for ending in [".bvh", ".timecode.txt", STATES] {
             // What cannot be removed stays.
-            drop(std::fs::remove_file(entry.path()));
+            if std::fs::remove_file(out.join(format!("{stem}{ending}"))).is_ok() {
+                note(&format!("{stem}{ending} of the earlier solve is removed"));
+            }
         }
     }
 }

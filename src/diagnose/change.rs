@@ -138,11 +138,9 @@ type Change = (Finding, Option<WrongTimes>);
 /// The finding with the time when the fault begins or ends.
 fn described(scene: &Scene, split: Split, camera: usize, hypothesis: Hypothesis) -> Change {
     let Split { before, at, is_first_bad } = split;
-    let spans = scene.footage.spans(&scene.rig.cameras);
-    let start = spans.iter().flatten().map(|[first, _]| *first).min();
     let middle =
         scene.instants[before] + Nanos::new((scene.instants[at] - scene.instants[before]).ns() / 2);
-    let seconds = start.map_or(0.0, |start| middle.seconds_since(start));
+    let seconds = scene.start.map_or(0.0, |start| middle.seconds_since(start));
     let Hypothesis { finding: Finding { cause, what, fix }, reading, .. } = hypothesis;
     let late = reading.clock.late;
     if cause == "time_shift" {

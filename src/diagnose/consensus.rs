@@ -37,6 +37,8 @@ pub(super) struct Scene<'a> {
     pub(super) periods: Vec<Nanos>,
     pub(super) instants: Vec<Timestamp>,
     pub(super) rig: Rig,
+    /// When the recording begins.
+    pub(super) start: Option<Timestamp>,
     /// By instant and camera.
     pub(super) views: Vec<Vec<Vec<View>>>,
 }
@@ -103,8 +105,10 @@ impl<'a> Scene<'a> {
         let instants = footage.instants(count, &cameras);
         let usual = footage.period();
         let periods = footage.tracks.iter().map(|track| track.period().unwrap_or(usual)).collect();
+        let start = footage.start(&cameras);
         let rig = Rig { version: 0, cameras: Vec::new() };
-        let mut scene = Self { footage, readings, instants, periods, rig, views: Vec::new() };
+        let views = Vec::new();
+        let mut scene = Self { footage, readings, instants, periods, rig, start, views };
         scene.read();
         scene
     }

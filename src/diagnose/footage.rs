@@ -96,8 +96,9 @@ pub(super) struct Track {
     pub(super) count: usize,
     pub(super) disordered: usize,
     pub(super) doubled: usize,
-    /// Number of all points, and of those with a confidence above 1.
+    /// Number of all points, of those that are confident, and of those with a confidence above 1.
     pub(super) points: usize,
+    pub(super) confident: usize,
     pub(super) percent: usize,
     /// First and last capture time.
     pub(super) span: Option<[Timestamp; 2]>,
@@ -165,22 +166,25 @@ impl Footage {
                 track.doubled += 1;
                 return;
             }
-            let is_first_stray = first == last && -step > STRAY;
             if step < Nanos::ZERO {
                 track.disordered += 1;
-            }
-            if is_first_stray {
+                // Of two frames, the first one may be the stray one.
+                if first != last || -step <= STRAY {
+                    return;
+                }
                 (track.span, track.frames) = (None, Vec::new());
-            } else if step < Nanos::ZERO {
-                return;
-            }
-            if step > STRAY && track.held.is_none() {
+            } else if step > STRAY && track.held.is_none() {
                 track.held = Some(Box::new(frame.clone()));
                 return;
             }
         }
         match track.held.take() {
-            Some(held) if held.capture < frame.capture => self.push(&held),
+            Some(held) if held.capture < frame.capture => {
+                if track.span.is_some_and(|[first, last]| first == last) {
+                    (track.span, track.frames) = (None, Vec::new());
+                }
+                self.push(&held);
+            }
             Some(_) => track.disordered += 1,
             None => {}
         }
@@ -191,8 +195,9 @@ impl Footage {
         let track = &mut self.tracks[frame.camera];
         let first = track.span.map_or(frame.capture, |[first, _]| first);
         track.span = Some([first, frame.capture]);
-        let points = frame.people.iter().map(|person| person.points.iter().flatten().count());
-        track.points += points.sum::<usize>();
+        let points = || frame.people.iter().flat_map(|person| person.points.iter().flatten());
+        track.points += points().count();
+        track.confident += points().filter(|point| point.confidence > CONFIDENT).count();
         let is_kept = |capture, stride| {
             let own = section(capture);
             own - section(first) < FIRST_SECTIONS || own.rem_euclid(stride) == 0
@@ -236,6 +241,11 @@ impl Footage {
         let both = self.tracks.iter().zip(cameras);
         both.map(|(track, camera)| Some(track.span?.map(|time| time + camera.time_offset)))
             .collect()
+    }
+
+    /// The first time of all cameras.
+    pub(super) fn start(&self, cameras: &[Camera]) -> Option<Timestamp> {
+        self.spans(cameras).into_iter().flatten().map(|[first, _]| first).min()
     }
 
     /// `count` times of one camera, on the clock of the rig: a third evenly spread, the others where

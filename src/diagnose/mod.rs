@@ -177,6 +177,7 @@ impl Check {
         if self.findings.len() != other.findings.len() {
             return if self.findings.len() < other.findings.len() { self } else { other };
         }
+        // A finding says more than a loose fit.
         let rank = |one: &CameraCheck| {
             let share = one.agreeing_percent.unwrap_or(0.0);
             (one.findings.is_empty() && share >= LEAST_PERCENT, !one.findings.is_empty(), share)
@@ -245,7 +246,8 @@ impl CameraCheck {
 /// Judges the cameras of a rig: by all their frames, by the frames in which somebody is `alone`, and by
 /// what they saw of one performer, where each may be anybody in its frame.
 fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Check {
-    let scene = Scene::new(footage, rig.cameras.iter().map(Reading::new).collect(), INSTANTS);
+    let mut scene = Scene::new(footage, rig.cameras.iter().map(Reading::new).collect(), INSTANTS);
+    scene.start = frames.start(&rig.cameras);
     let mut cameras: Vec<CameraCheck> = (0..rig.cameras.len())
         .map(|camera| CameraCheck {
             camera: rig.cameras[camera].name.clone(),

@@ -73,9 +73,9 @@ fn absent(footage: &Footage, cameras: &[Camera], camera: usize) -> Option<Findin
     if let Some(finding) = away(footage, cameras, camera, |_| true) {
         return Some(finding);
     }
-    let Track { frames, points, .. } = &footage.tracks[camera];
+    let Track { frames, points, confident, .. } = &footage.tracks[camera];
     (!frames.is_empty() && frames.iter().all(|frame| frame.people.is_empty())).then(|| {
-        if *points > 0 {
+        if *points > 0 && *confident == 0 {
             let what = format!("its points have confidences below {CONFIDENT}, and are not judged");
             let fix = "does its detector have another scale? its largest should be about 1";
             return Finding::new("confidence_unit", what, fix);

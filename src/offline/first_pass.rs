@@ -74,7 +74,7 @@ pub struct CameraOffset {
     pub offset_ms: Option<f64>,
     /// The same in nominal frames.
     pub offset_frames: Option<f64>,
-    /// Its standard error, nominal frames; at most 6.
+    /// Its standard error, nominal frames.
     pub error_frames: f64,
     /// `in_sync`, `shifted`, or `unknown` if too little moves to tell.
     pub verdict: &'static str,

@@ -39,8 +39,8 @@ pub struct Recording {
     wrong_times: BTreeMap<String, Vec<WrongTimes>>,
     /// Its first calibration, if that is used.
     own_rig: Option<wire::Rig>,
-    /// Number of later ones with other cameras, in what was read.
-    other_rigs: usize,
+    /// Whether another one follows, in what was read.
+    has_other_rig: bool,
 }
 
 /// A camera with more than this part of the fastest one's frames is as fast.
@@ -110,7 +110,7 @@ impl Recording {
             span,
             wrong_times,
             own_rig,
-            other_rigs: 0,
+            has_other_rig: false,
         };
         recording.check_cameras()?;
         Ok(recording)
@@ -231,12 +231,9 @@ impl Recording {
 
     /// What to say if the calibration changed while it was recorded; after it was read.
     pub fn rig_note(&self) -> Option<String> {
-        (self.other_rigs > 0).then(|| {
-            format!(
-                "the calibration changes {} times in the recording, and only the first one is used: \
-                 take the parts with --start, --end and --rig",
-                self.other_rigs
-            )
+        self.has_other_rig.then(|| {
+            "the calibration changes in the recording; only the first one is used (--rig takes another)"
+                .to_owned()
         })
     }
 
@@ -316,8 +313,8 @@ impl Recording {
         mut take: impl FnMut(Item) -> Result<(), Error>,
     ) -> Result<Report, Error> {
         self.reader.rewind()?;
-        self.other_rigs = 0;
-        let (mut last_rig, mut is_empty) = (self.own_rig.clone(), true);
+        let mut is_empty = true;
+        self.has_other_rig = false;
         // The held-out cameras follow the others.
         let cameras: Vec<&Camera> = rig.cameras.iter().chain(held_out).collect();
         let offsets: Vec<_> = cameras.iter().map(|camera| camera.time_offset).collect();
@@ -343,11 +340,10 @@ impl Recording {
                 }
                 Message::TruthPose(pose) => Some(Timestamp::from_ns(pose.capture_time_ns)),
                 Message::Rig(rig) => {
-                    if let Some(last) = last_rig.as_mut().filter(|last| last.cameras != rig.cameras)
-                    {
-                        last.clone_from(rig);
-                        self.other_rigs += 1;
-                    }
+                    let own = self.own_rig.as_ref();
+                    let is_used = self.span.is_none_or(|[_, last]| entry.log_time <= last);
+                    self.has_other_rig |=
+                        is_used && own.is_some_and(|own| own.cameras != rig.cameras);
                     None
                 }
                 _ => None,

@@ -272,7 +272,7 @@ struct Run<'file> {
     clock: usize,
 }
 
-/// A camera that begins so long before most others does not begin the poses.
+/// A camera that begins so long before all others does not begin the poses.
 const EARLY: Nanos = Nanos::from_ms(1000);
 
 impl Run<'_> {
@@ -298,7 +298,7 @@ impl Run<'_> {
         Ok(report)
     }
 
-    /// The poses begin with the first frame of the cameras, but for those that begin long before most others.
+    /// The poses begin with the first frame of the cameras, but for one that begins long before all others.
     fn begin(&mut self, frame: &Detections) {
         let own = &mut self.starts[frame.camera];
         if own.is_some() {
@@ -307,8 +307,8 @@ impl Run<'_> {
         *own = Some(frame.capture);
         let mut all: Vec<Timestamp> = self.starts.iter().flatten().copied().collect();
         all.sort_unstable();
-        let usual = all[all.len() / 2];
-        let start = all.into_iter().find(|start| usual - *start <= EARLY);
+        let second = all[1.min(all.len() - 1)];
+        let start = all.into_iter().find(|start| second - *start <= EARLY);
         for one in self.collected.iter_mut().filter(|one| one.poses.count == 0) {
             one.poses.start = start;
         }

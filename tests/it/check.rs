@@ -485,7 +485,10 @@ fn faults_are_named() {
     let take = Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 480);
     let (right, lines) = table("four cameras", &take, 1);
     // A camera that is turned a little in the middle of the take may look stretched from there on.
-    assert!(right + 1 >= FAULTS.len(), "{}", lines.join("\n"));
+    let is_known = |line: &&String| line.contains("turned by 3 degrees in the middle");
+    let missed = lines.iter().filter(|line| line.starts_with("MISS"));
+    assert!(missed.clone().all(|line| is_known(&line)), "{}", lines.join("\n"));
+    assert_eq!(right + missed.count(), FAULTS.len());
 }
 
 #[test]

@@ -31,6 +31,7 @@ const PACKET: usize = 65_536;
   /take/note TEXT              a note about the running take or the last one
   /take/mark good|bad          rates it
   /take/reset                  somebody else comes: nodes forget the performers' bodies
+  /take/reset NAME             the same of one performer
   /RecordStart SLATE NUMBER    as Unreal starts the face capture of a phone; with /RecordStop
   /OSCSetSendTarget IP PORT    answers go there; without it, to where the command came from
 
@@ -272,6 +273,7 @@ fn command(OscMessage { addr, args }: &OscMessage) -> Result<Option<Take>, Strin
         ("start", [slate, number]) => {
             Ok(Take { name: valid(&format!("{slate}_{number}")), ..take })
         }
+        ("reset", [name]) if !name.is_empty() => Ok(Take { name: valid(name), ..take }),
         ("stop" | "reset", _) => Ok(take),
         ("note", [text]) if !text.is_empty() => Ok(Take { note: (*text).to_owned(), ..take }),
         ("mark", [mark @ ("good" | "bad")]) => {
@@ -344,6 +346,7 @@ mod tests {
         is(said("/take/note", &[text("left hand")]), "note", "", "left hand", "");
         is(said("/take/mark", &[text("good")]), "note", "", "", "good");
         is(said("/take/reset", &[]), "reset", "", "", "");
+        is(said("/take/reset", &[text("p2")]), "reset", "p2", "", "");
         for pressed in [OscType::Bool(true), OscType::Float(1.0), OscType::Inf] {
             assert!(said("/take/start", &[pressed]).unwrap().1.starts_with("take_20"));
         }

@@ -40,6 +40,7 @@ impl Loaded {
         let cameras = cameras.collect::<Result<Vec<_>, _>>()?;
         let rig = Arc::new(recording.chosen(only, &cameras)?);
         let (mut frames, mut clocks) = (Vec::new(), Vec::new());
+        let clock = recording.clock_camera(&rig);
         let mut seen = vec![Vec::new(); cameras.len()];
         recording.stream(
             &rig,
@@ -48,7 +49,7 @@ impl Loaded {
             |item| {
                 match item {
                     Item::Detections(detections, _) => {
-                        if detections.camera == 0 {
+                        if detections.camera == clock {
                             clocks.push(FrameClock::of(&detections));
                         }
                         frames.push(detections);

@@ -41,15 +41,13 @@ impl Rig {
         names.eq(other.cameras.iter().map(|camera| &camera.name))
     }
 
-    /// By how much a new calibration of the same cameras changes the time offsets in use, of each camera with another
-    /// calibrated offset. `corrections` of cameras are in these offsets, and end with it.
-    pub fn offset_changes(&self, corrections: &[Nanos], new: &Self) -> Vec<(usize, Nanos)> {
-        let cameras = self.cameras.iter().zip(&new.cameras).zip(corrections).enumerate();
-        let change = |(camera, ((old, new), correction)): (usize, ((&Camera, &Camera), &Nanos))| {
-            let by = new.time_offset - old.time_offset;
-            (by != -*correction).then_some((camera, by))
-        };
-        cameras.filter_map(change).collect()
+    /// By camera, by how much a new calibration of the same cameras changes the time offsets in use. `corrections` are in
+    /// these offsets. All of them end if one calibrated offset is another: they have a common zero. Empty: nothing changes.
+    pub fn offset_changes(&self, corrections: &[Nanos], new: &Self) -> Vec<Nanos> {
+        let both = self.cameras.iter().zip(&new.cameras);
+        let all: Vec<Nanos> = both.map(|(old, new)| new.time_offset - old.time_offset).collect();
+        let is_same = all.iter().zip(corrections).all(|(by, correction)| *by == -*correction);
+        if is_same { Vec::new() } else { all }
     }
 
     /// Adds to the time offsets, by camera; cameras without a value keep theirs.

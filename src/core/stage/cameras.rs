@@ -22,7 +22,8 @@ impl Stage {
             self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
             crowd.leave_out_moved(Vec::new());
         } else {
-            for (camera, by) in crowd.rig().offset_changes(&self.corrections, rig) {
+            let changes = crowd.rig().offset_changes(&self.corrections, rig);
+            for (camera, by) in changes.into_iter().enumerate() {
                 crowd.shift_time(camera, by);
                 self.corrections[camera] = Nanos::ZERO;
             }

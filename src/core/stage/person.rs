@@ -27,7 +27,7 @@ const DECAY_S: f64 = 0.4;
 pub(super) const HIDDEN: Nanos = Nanos::from_ms(100);
 const LEAP_M: f64 = 0.25;
 /// Bodies that differ by more ([`Lengths::difference`]) are not those of one person, even if one was seen in one pose only.
-pub(super) const OTHER_BODY: f64 = 4.0;
+const OTHER_BODY: f64 = 4.0;
 /// No person is faster, m/s.
 const FASTEST_M_S: f64 = 6.0;
 

@@ -320,7 +320,8 @@ impl Intake {
     pub(in crate::core) fn next(&self, camera: usize, period: Nanos) -> Option<Timestamp> {
         let seen = self.cameras.get(camera)?;
         let steps = seen.steps.iter().filter(|step| **step > Nanos::ZERO);
-        Some(seen.watermark? + steps.min().copied().unwrap_or(period))
+        // Capture times jitter.
+        Some(seen.watermark? + steps.min().copied().unwrap_or(period).max(period))
     }
 
     /// Adds the counts of used frames of `before`, which had the same cameras.

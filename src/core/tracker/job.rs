@@ -65,6 +65,11 @@ impl Job {
         self.every(self.effort.stride)
     }
 
+    /// The nominal time between two frames that are used, ns.
+    pub(super) fn used_period(&self) -> f64 {
+        (self.frame_period * self.effort.stride.max(1) as i64).ns().max(1) as f64
+    }
+
     /// All frames, or the last one of each camera in every `stride` nominal frames. They are counted back from the end.
     pub(super) fn every(&self, stride: usize) -> impl Iterator<Item = &Arc<Detections>> {
         let stride = stride.max(1);

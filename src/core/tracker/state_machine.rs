@@ -314,7 +314,8 @@ impl Tracker {
 
     /// The time offsets of a new calibration of the same cameras hold at once, in place of what was corrected.
     pub(in crate::core) fn take_time_offsets(&mut self, new: &Rig) {
-        for (camera, by) in self.rig.offset_changes(self.time_corrections(), new) {
+        let changes = self.rig.offset_changes(self.time_corrections(), new);
+        for (camera, by) in changes.into_iter().enumerate() {
             self.correct_times(camera, self.time_corrections()[camera] + by);
             self.offsets.set(camera, Nanos::ZERO);
         }

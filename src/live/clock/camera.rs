@@ -66,6 +66,8 @@ pub(crate) struct CameraClock {
     changed: Nanos,
     /// What the calibration, motion or somebody says to be wrong with its capture times, and is added to them.
     correction: Nanos,
+    /// Whether that has changed since its frames come.
+    pub(crate) is_corrected: bool,
     /// Largest capture time, and the last arrival.
     pub(crate) last: Option<(Timestamp, Timestamp)>,
     pub(crate) step: Option<Step>,
@@ -81,12 +83,18 @@ pub(crate) struct CameraClock {
 impl CameraClock {
     /// Its frames are not used until it agrees; what they were is forgotten.
     pub(crate) fn leave_out(&mut self, why: LeftOut) {
-        *self = Self { left_out: Some(why), correction: self.correction, ..Self::default() };
+        *self = Self { left_out: Some(why), ..self.anew() };
     }
 
     /// It is silent: what its frames were is forgotten.
     pub(crate) fn forget(&mut self) {
-        *self = Self { is_silent: true, correction: self.correction, ..Self::default() };
+        *self = Self { is_silent: true, ..self.anew() };
+    }
+
+    /// Nothing is known but its correction.
+    fn anew(&self) -> Self {
+        let Self { correction, is_corrected, .. } = *self;
+        Self { correction, is_corrected, ..Self::default() }
     }
 
     /// What is added to its capture times.
@@ -100,6 +108,7 @@ impl CameraClock {
         if by == Nanos::ZERO {
             return;
         }
+        self.is_corrected |= self.last.is_some();
         for Bucket { least, most, first, .. } in &mut self.buckets {
             (*least, *most, *first) = (*least - by, *most - by, *first - by);
         }
@@ -159,8 +168,7 @@ impl CameraClock {
     /// The time line continues with another offset.
     pub(crate) fn restart(&mut self, now: Timestamp, offset: Nanos) {
         let last = self.last.map(|_| (now - offset, now));
-        let (is_reported, correction) = (self.is_reported, self.correction);
-        *self = Self { last, is_reported, correction, ..Self::default() };
+        *self = Self { last, is_reported: self.is_reported, ..self.anew() };
         self.note(now, now - offset, offset);
     }
 

@@ -82,7 +82,7 @@ impl Clock {
     pub(crate) fn growth(&self) -> Nanos {
         let used = self.cameras.iter().filter(|camera| camera.is_used());
         // Motion may correct the drift of a camera whose times it corrects.
-        let used = used.filter(|camera| camera.correction() == Nanos::ZERO);
+        let used = used.filter(|camera| !camera.is_corrected);
         let drifts = used.filter_map(CameraClock::drift);
         let most = drifts.fold(0.0, f64::max) * FORESEEN.seconds();
         Nanos::rounded(most).min(MOST_FORESEEN)

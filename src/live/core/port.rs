@@ -149,18 +149,15 @@ pub struct Carried {
 }
 
 impl Carried {
-    /// Another calibration holds: no camera is left out, and those with another time offset are not corrected.
+    /// Another calibration holds: no camera is left out, and with other time offsets none is corrected.
     pub(super) fn recalibrate(&mut self, before: &[u8], now: &[u8]) {
         self.left_out.clear();
-        let [before, now] = [before, now].map(|rig| wire::decode::<wire::Rig>(rig).ok());
-        let known = |rig: &Option<wire::Rig>, camera: usize| {
-            let camera = rig.as_ref()?.cameras.get(camera)?;
-            Some((camera.name.clone(), camera.time_offset_ns))
-        };
-        for (camera, offset) in self.time_offsets.iter_mut().enumerate() {
-            if known(&before, camera) != known(&now, camera) {
-                *offset = Nanos::ZERO;
-            }
+        let [before, now] = [before, now].map(|rig| {
+            let cameras = wire::decode::<wire::Rig>(rig).unwrap_or_default().cameras.into_iter();
+            cameras.map(|camera| (camera.name, camera.time_offset_ns)).collect::<Vec<_>>()
+        });
+        if before != now {
+            self.time_offsets.clear();
         }
     }
 

@@ -105,7 +105,7 @@ impl Core {
                 camera.set_usual_px(0.0);
             }
         }
-        self.take_time_offsets(&rig);
+        self.tell_ended_corrections(&rig);
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
@@ -122,25 +122,25 @@ impl Core {
         true
     }
 
-    /// The time offsets of a new calibration of the same cameras hold in place of what was corrected.
-    fn take_time_offsets(&mut self, new: &Rig) {
+    /// The time offsets of a new calibration of the same cameras will hold in place of what was corrected.
+    fn tell_ended_corrections(&mut self, new: &Rig) {
         let Some(stage) = self.stage.as_ref().filter(|stage| stage.rig().has_cameras_of(new))
         else {
             return;
         };
         let corrections = stage.time_corrections().to_vec();
-        let changes = stage.rig().offset_changes(&corrections, new);
+        if stage.rig().offset_changes(&corrections, new).is_empty() {
+            return;
+        }
         // Frames that were given have the times from before.
         self.drain();
-        for (camera, _) in changes {
-            let correction = corrections[camera];
-            if correction != Nanos::ZERO {
-                let detail = format!(
-                    "its calibration has another time offset: the correction of {:+.1} ms ends",
-                    correction.ms()
-                );
-                self.event(EventKind::TimeOffset, Some(&new.cameras[camera].name), detail);
-            }
+        let all = new.cameras.iter().zip(corrections);
+        for (camera, correction) in all.filter(|(_, correction)| *correction != Nanos::ZERO) {
+            let detail = format!(
+                "the calibration has other time offsets: the correction of {:+.1} ms ends",
+                correction.ms()
+            );
+            self.event(EventKind::TimeOffset, Some(&camera.name), detail);
         }
     }
 

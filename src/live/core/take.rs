@@ -290,7 +290,8 @@ impl Core {
             carried: Carried {
                 take: take.name,
                 latency: self.latency.declared().or(self.settings.carried.latency),
-                solve: self.latency.solve().unwrap_or(self.settings.carried.solve),
+                // Once it had less, for the network needed the rest.
+                solve: self.latency.solve().unwrap_or_default().max(self.settings.carried.solve),
                 time_offsets: stage
                     .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
                 performers: stage.map_or_else(

@@ -104,7 +104,7 @@ pub fn degraded(mut take: Take, every: usize, jitter_px: f64) -> Take {
     take
 }
 
-/// Frames per second of most cameras, from the median intervals; `None` for fewer than two frames of each.
+/// Frames per second of the fastest camera, from the median intervals; `None` for fewer than two frames of each.
 pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
     let cameras = frames.iter().map(|frame| frame.camera + 1).max()?;
     let period = |camera: usize| {
@@ -114,8 +114,8 @@ pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
             times.windows(2).map(|pair| (pair[1] - pair[0]).ns() as f64).collect();
         median(&periods)
     };
-    let periods: Vec<f64> = (0..cameras).filter_map(period).collect();
-    median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
+    let periods = (0..cameras).filter_map(period).filter(|period| *period > 0.0);
+    periods.min_by(f64::total_cmp).map(|period| 1e9 / period)
 }
 
 /// A camera that no method sees, and its detections in order of capture time.
@@ -126,7 +126,7 @@ pub type HeldOutCamera = (Camera, Vec<Detections>);
 pub struct Markers<'a> {
     /// The trajectories.
     pub trajectories: &'a Trajectories,
-    /// The frames of the first camera, in order of time.
+    /// The frames of the camera that counts the recording's frames, in order of time.
     pub frames: &'a [FrameClock],
     /// The recording's frame rate, hertz.
     pub fps: f64,

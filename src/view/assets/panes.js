@@ -58,6 +58,8 @@ export class Panes {
       this.observer.observe(button);
       this.panes.set(name, { button, canvas, swatch, light, count, context: canvas.getContext("2d") });
     }
+    if (names.join("\n") === this.order) return;
+    this.order = names.join("\n");
     names.forEach((name, number) => {
       const { button, swatch } = this.panes.get(name);
       // Its colour in the charts.

@@ -38,7 +38,7 @@ export class Live {
       this.connected = false;
       // A browser does not say why a socket was refused.
       fetch("about.json").then(({ status }) => {
-        this.error = status === 401 ? "The program was started again and has a new address: open the one that it prints." : "";
+        if (status === 401) this.error = "The program was started again and has a new address: open the one that it prints.";
       }, () => {});
       setTimeout(() => this.open(), this.wait);
       this.wait = Math.min(2 * this.wait, 4000);

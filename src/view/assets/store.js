@@ -198,7 +198,8 @@ export class Store {
   /** What is added to the capture times of a camera, ns: by the calibration, and by what the node found since. */
   offsetOf(camera) {
     const known = this.rig?.cameras.find(({ name }) => name === camera)?.time_offset_ns ?? 0n;
-    const found = this.statuses.items.at(-1)?.status.cameras.find(({ name }) => name === camera)?.time_correction_s ?? 0;
+    const { status } = this.statuses.items.at(-1) ?? {};
+    const found = status?.cameras.find((one) => one.camera === camera)?.time_correction_s ?? 0;
     return known + BigInt(Math.round(found * 1e9));
   }
 

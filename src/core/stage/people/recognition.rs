@@ -2,7 +2,7 @@
 
 use super::{Absent, Change, ELSEWHERE, LOST, Member, People, Role, Wish};
 use crate::core::stage::performer_id::PerformerId;
-use crate::core::stage::person::{OTHER_BODY, Person, apart};
+use crate::core::stage::person::{Person, apart};
 use crate::core::time::{Nanos, Timestamp};
 
 /// A newcomer is a person after so many frame sets and so long; after so many if it may be a performer of before; and
@@ -17,7 +17,7 @@ const AWAY_M: f64 = 0.6;
 const AWAY_M_S: f64 = 3.0;
 /// After an interruption of up to this time, who is nearest to where a performer was, and nearer than this, is the
 /// performer.
-const INTERRUPTED: Nanos = Nanos::from_ms(3000);
+const INTERRUPTED: Nanos = Nanos::from_ms(1500);
 const IN_PLACE_M: f64 = 0.5;
 /// Nobody else can be so near so soon, whatever the lengths say.
 const AT_ONCE: (Nanos, f64) = (Nanos::from_ms(500), 0.25);
@@ -167,11 +167,12 @@ impl People {
                 && !one.is_elsewhere
                 && matches!(member.role, Role::Candidate(_))
                 && (Nanos::ZERO..INTERRUPTED).contains(&gap)
+                && now.seen - now.first < AT_ONCE.0
                 && self.may_return(one);
             let off = apart(before.points(), now.points()).filter(|_| is_possible)?;
             let is_alike = || {
                 let difference = before.lengths.difference(&now.lengths);
-                difference.is_none_or(|difference| difference < OTHER_BODY)
+                difference.is_some_and(|difference| difference < EXPECTED_BODY)
             };
             let is_it = off < IN_PLACE_M && (gap < AT_ONCE.0 && off < AT_ONCE.1 || is_alike());
             is_it.then_some(off)

@@ -151,7 +151,7 @@ fn path(
     interpolation: Interpolation,
 ) -> Vec<PathKeyframe> {
     let mut path: Vec<PathKeyframe> = known.fixed().collect();
-    let period = job.frame_period.ns().max(1) as f64;
+    let period = job.used_period();
     let mut before = known.past.last().map_or(job.start, |last| last.capture);
     for capture in times {
         let Some(keyframe) = known.at(capture, interpolation) else { continue };

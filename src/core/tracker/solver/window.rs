@@ -122,7 +122,7 @@ impl Solver {
             let period = job.frame_period.ns().max(1) as f64;
             let frames = libm::round((at.capture - before).ns() as f64 / period).max(1.0);
             before = at.capture;
-            PathKeyframe::free(at, frames)
+            PathKeyframe::free(at, frames * period / job.used_period())
         });
         let path = known.fixed().chain(free).collect();
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
@@ -167,13 +167,14 @@ impl Solver {
         // The estimator has the priors of the body.
         let cost = cost::Config { prior, offset_prior: 0.0, shape_prior: 0.0, ..cost };
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
-        let frames = self.at_rate(job).keyframe() as f64;
+        let frames = self.at_rate(job).keyframe() as f64 * job.frame_period.ns().max(1) as f64;
+        let frames = frames / job.used_period();
         let ahead = solved.ahead.iter().cloned().map(|at| PathKeyframe::free(at, frames));
         let path = solved.fixed().chain(ahead).collect();
         let (free, work) = (self.config.free_body(), &mut self.work);
         let mut problem = PathProblem::new(scene, path, solved.skeleton, free, observations, work);
         // The frames of fast cameras are not independent: they tell no more of the body.
-        let alike = self.config.keyframe() as f64 / frames;
+        let alike = (self.config.keyframe() as f64 / frames).min(1.0);
         let marginal = problem.marginal(&problem.start(), BODY_COEFFICIENTS)?.scaled(alike);
         let prior = (&OffsetPrior::of(job.format), self.config.cost.offset_prior);
         estimator.with(&marginal, solved.skeleton, noise, prior)

@@ -50,11 +50,12 @@ pub(in crate::io::formats) fn parse(bytes: &[u8]) -> Result<Trajectories, Trajec
     // The header has no room for the numbers of a long recording.
     let long = |name: &str| trial.get(name).and_then(|parameter| numbers.long(parameter.data));
     let first = long("ACTUAL_START_FIELD").unwrap_or(layout.first);
-    let last = long("ACTUAL_END_FIELD").unwrap_or(layout.last);
+    let end = long("ACTUAL_END_FIELD");
+    let last = end.unwrap_or(layout.last);
     let frames = last.checked_sub(first).map_or(usize::MAX, |frames| frames as usize + 1);
     let places = layout.places(bytes, &numbers, scale)?;
     // Without TRIAL, the numbers of a long recording have gone round.
-    let is_long = trial.is_empty() && places.len() > usize::from(u16::MAX);
+    let is_long = end.is_none() && places.len() > usize::from(u16::MAX);
     let frames = if is_long { places.len() } else { frames };
     let places = places.take(frames);
     let turned = |row: Vec<Option<Vector3<f64>>>| {

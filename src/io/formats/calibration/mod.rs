@@ -245,18 +245,20 @@ impl Parts {
         let without_size = cameras.iter().filter(|camera| camera.size.is_none());
         let without_size: Vec<String> = without_size.map(|camera| camera.name.clone()).collect();
         for camera in &cameras {
-            let (name, size) = (&camera.name, size_px(&camera.name, camera.size())?);
+            let name = &camera.name;
             if camera.size.is_none() {
+                let size = size_px(name, camera.size()).map_err(|_| {
+                    let what = "the file has no image size; add width and height";
+                    Fault::Text(format!("camera {name}: {what}"))
+                })?;
                 notes.push(format!(
-                    "camera {name}: the file has no image size (width and height); {} x {} is taken, \
-                     twice the principal point, and images of about that size",
+                    "camera {name}: the file has no image size; images of about {} x {}, twice the \
+                     principal point, are taken",
                     size[0], size[1]
                 ));
             }
             if valid_name(name).is_err() {
-                notes.push(format!(
-                    "camera {name}: the camera cannot be live, for topics have no such names"
-                ));
+                notes.push(format!("camera {name} cannot be live: topics have no such names"));
             }
         }
         let camera = |c: Calibrated| {

@@ -217,7 +217,7 @@ fn values(
             let is_share = all.iter().all(|[x, y, _]| !(x.abs() > SHARE || y.abs() > SHARE));
             let [width, height] = if is_share { size.map(f64::from) } else { [1.0, 1.0] };
             let points = all.iter().map(|[x, y, c]| point(x * width, y * height, *c)).collect();
-            report.shares |= is_share;
+            report.shares |= is_share && all.iter().any(|[x, y, _]| x.abs() + y.abs() > 0.0);
             Ok(points)
         }
         Some(first) if first.is_array() => {

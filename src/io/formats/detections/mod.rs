@@ -204,12 +204,10 @@ impl DetectionFolder {
             notes.push(format!("the first frame is {first}; outputs count from this frame"));
         }
         // Cameras of several rates would be shifted.
-        let is_from_one = reports.iter().all(|report| report.first_frame == 1)
-            && cameras.iter().any(|camera| camera.fps != cameras[0].fps);
+        let is_from_one =
+            first == Some(1) && cameras.iter().any(|camera| camera.fps != cameras[0].fps);
         if is_from_one {
-            notes.push(
-                "all frames count from 1: frame 1 is taken as the start of all cameras".into(),
-            );
+            notes.push("frames count from 1: that is the start of all cameras".into());
         }
         let (order, others) = match (&options.mapping, options.order) {
             (Some(path), _) => (PointOrder::of_file(path, names.as_deref())?, Vec::new()),
