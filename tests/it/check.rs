@@ -519,6 +519,68 @@ fn has_another_clock(take: &Take, camera: usize) {
     assert!(found.findings.is_empty(), "{found}");
 }
 
+#[test]
+fn what_is_wrong_for_a_part_of_the_time_or_with_few_frames_is_said() {
+    let clean = Take::synthetic(ring_rig(4, 4.0, 1.6).unwrap(), Noise::clean(), 3, 600);
+    let start = clean.frames[0].capture;
+    let half = |frame: &Detections| frame.capture - start > Nanos::from_ms(6000);
+    let causes = |check: &Check, camera: usize| -> Vec<&'static str> {
+        check.cameras[camera].findings.iter().map(|finding| finding.cause).collect()
+    };
+
+    // Of all cameras, from the middle on.
+    let mut take = clean.clone();
+    for frame in take.frames.iter_mut().filter(|frame| half(frame)) {
+        for point in frame.people.iter_mut().flat_map(|one| one.points.iter_mut().flatten()) {
+            point.pixel.coords *= 0.5;
+        }
+    }
+    let found = take.check();
+    assert!(found.finds("disagree_at_times"), "{found}");
+
+    // Two cameras share another clock.
+    let mut take = clean.clone();
+    for camera in [2, 3] {
+        take.of(camera).for_each(|frame| frame.capture = frame.capture + Nanos::SECOND * 3600);
+    }
+    let found = take.check_in_order();
+    let all = [0, 1, 2, 3].map(|camera| causes(&found, camera));
+    assert_eq!(all.iter().filter(|causes| **causes == ["clock"]).count(), 2, "{found}");
+
+    // Each frame twice; then one frame far ahead, and a first one far behind.
+    let mut take = clean.clone();
+    take.frames = take.frames.iter().flat_map(|frame| [frame.clone(), frame.clone()]).collect();
+    let found = take.check_in_order();
+    assert!((0..4).all(|camera| causes(&found, camera) == ["duplicates"]), "{found}");
+    for (at, by) in [(200, 3600), (0, -3600), (0, 3600)] {
+        let mut take = clean.clone();
+        let stray = take.of(1).nth(at).unwrap();
+        stray.capture = stray.capture + Nanos::SECOND * by;
+        let found = take.check_in_order();
+        assert!(found.is_clean(), "{at} {by}: {found}");
+        assert!(found.cameras[1].agreeing_percent > Some(90.0), "{at} {by}: {found}");
+    }
+
+    // Somebody else comes late: times count from the first frame.
+    let mut take = clean;
+    take.of(1).filter(|frame| half(frame)).for_each(|frame| {
+        let people = frame.people.iter_mut().flat_map(|one| one.points.iter_mut().flatten());
+        people.for_each(|point| point.pixel.coords *= 0.5);
+    });
+    let late = take.frames.iter_mut().filter(|frame| frame.capture - start > Nanos::from_ms(4000));
+    for frame in late.filter(|frame| frame.camera == 0) {
+        let other = frame.people.iter().cloned().map(|mut person| {
+            let points = person.points.iter_mut().flatten();
+            points.for_each(|point| point.pixel.x = 0.3 * point.pixel.x + 20.0);
+            person
+        });
+        let other: Vec<Person> = other.collect();
+        frame.people.extend(other);
+    }
+    let found = take.check();
+    assert!(found.to_string().contains("from about 6."), "{found}");
+}
+
 /// The faults of one camera that are tried in crowds, by name.
 const OF_CROWDS: [&str; 10] = [
     "image mirrored",

@@ -612,6 +612,44 @@ fn a_good_rig_is_written_as_it_is_and_can_be_solved_with() {
 }
 
 #[test]
+fn inputs_and_the_users_files_are_never_replaced() {
+    let place = Place::new();
+    place.done("synth --out walk.mcap --seconds 2 --noise jitter");
+    let span = "solve walk.mcap --out out --start 100";
+    place.fails(USAGE, span, &["no keypoints from --start"]);
+    let input = "is the input; choose another name";
+    place.fails(USAGE, "calibrate walk.mcap --out walk.mcap --overwrite", &[input]);
+    place.fails(USAGE, "rig convert walk.mcap --out walk.mcap --format toml --overwrite", &[input]);
+    place.fails(USAGE, "take stop --mark good", &["are for note"]);
+    place.write("in/poses.mcap", fs::read(place.path("walk.mcap")).unwrap());
+    place.fails(USAGE, "solve in/poses.mcap --out in --overwrite", &[input]);
+
+    place.done("solve walk.mcap --out out");
+    for name in ["poses.mine.bvh", "poses.p9.bvh", "poses.p9.states.csv"] {
+        place.write(&format!("out/{name}"), "of an earlier solve, or the user's");
+    }
+    let body = "solve walk.mcap --out out --body out/poses.mcap --overwrite";
+    assert_eq!(place.run(body).status.code(), Some(USAGE));
+    place.done("solve walk.mcap --out out --overwrite");
+    let is_there = |name: &str| place.path(&format!("out/{name}")).exists();
+    assert!(is_there("poses.mine.bvh") && is_there("poses.bvh"));
+    assert!(!is_there("poses.p9.bvh") && !is_there("poses.p9.states.csv"));
+}
+
+#[test]
+fn the_calibration_of_a_recording_is_read_in_another_unit() {
+    let place = Place::new();
+    place.done("synth --out walk.mcap --seconds 4 --noise clean");
+    assert!(!place.done("check walk.mcap").contains("divide all translations"));
+    let told = place.done("check walk.mcap --unit 2");
+    assert!(told.contains("the calibration has 2.0"), "{told}");
+    let convert = "rig convert walk.mcap --unit 2 --out twice.toml";
+    place.done(convert);
+    assert_eq!(place.done("check walk.mcap --rig twice.toml"), told);
+    place.fails(USAGE, "check walk.mcap --set S9", &["--set"]);
+}
+
+#[test]
 fn the_real_recording_has_no_time_offset_but_a_turned_camera() {
     let Some(set) = real_set() else { return };
     let place = Place::new();
