@@ -30,11 +30,16 @@ pub struct Stage {
 
 impl Stage {
     pub fn new(people: usize, cameras: usize, seconds: u64) -> Self {
-        Self::of_bodies(people, cameras, seconds, |person| person)
+        Self::of_bodies((people, cameras), seconds, &Noise::clean(), |person| person)
     }
 
     /// `body`: whose body each has.
-    fn of_bodies(people: usize, cameras: usize, seconds: u64, body: fn(usize) -> usize) -> Self {
+    fn of_bodies(
+        (people, cameras): (usize, usize),
+        seconds: u64,
+        noise: &Noise,
+        body: fn(usize) -> usize,
+    ) -> Self {
         let meeting = Meeting { people, distance: Some(0.7) };
         let rig = meeting.rig(cameras).unwrap();
         let one = |person| {
@@ -42,7 +47,7 @@ impl Stage {
             let skeleton = meeting.person(body(person), SEED).0;
             let motion = Box::new(motion) as Box<dyn Fn(f64) -> CorePose>;
             let mut one = Recording::new(rig.clone(), skeleton, motion);
-            (one.frames, one.noise, one.start) = (60 * seconds, Noise::clean(), START);
+            (one.frames, one.noise, one.start) = (60 * seconds, noise.clone(), START);
             one
         };
         let crowd = Crowd::new((0..people).map(one).collect());
@@ -310,10 +315,16 @@ fn a_camera_that_was_slow_for_a_moment_is_waited_for_again() {
     assert!((20..=31).contains(&camera.missing), "{} of 30", camera.missing);
 }
 
-/// Three people of one build: only their places tell who is who when takes begin and the clock steps.
+/// People of one build: only their places tell who is who when takes begin and the clock steps.
 #[test]
 fn twins_keep_their_names_when_everybody_is_lost_for_a_moment() {
-    let mut stage = Stage::of_bodies(3, 4, 10, |_| 0);
+    for (people, cameras) in [(3, 4), (5, 6)] {
+        twins(Stage::of_bodies((people, cameras), 10, &Noise::studio(), |_| 0));
+    }
+}
+
+fn twins(mut stage: Stage) {
+    let people = stage.meeting.people;
     for frame in stage.studio.frames.iter_mut().filter(|frame| frame.capture >= at(7.0)) {
         frame.capture = frame.capture - Nanos::from_ms(500);
     }
@@ -321,7 +332,8 @@ fn twins_keep_their_names_when_everybody_is_lost_for_a_moment() {
     messages.extend([slate("start", "one", 3.0), slate("start", "two", 5.0)]);
     let world = stage.play(messages, 9.0);
     let mut all = BTreeSet::new();
-    for name in ["p1", "p2", "p3"] {
+    for number in 1..=people {
+        let name = &*format!("p{number}");
         let poses = poses_of(&world, name, [0.0, 9.0]);
         let early = poses.into_iter().filter(|pose| pose.capture_time_ns < at(6.4).ns());
         let (person, off) = nearest_person(&stage, early);
