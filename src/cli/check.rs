@@ -12,7 +12,7 @@ use super::solve::{Progress, lost};
 use super::terminal::{complain, progress, say};
 use crate::core::camera::Rig;
 use crate::diagnose::Check;
-use crate::offline::{self, Recording};
+use crate::offline;
 
 /// Judge the cameras of a recording: what is wrong, and what would fix it.
 #[derive(Debug, Args)]
@@ -53,10 +53,9 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// Judges a recording; also says what was lost of it.
-fn judge(file: &Path, rig: Option<Rig>, arguments: &Arguments) -> Result<(Check, Exit), Failure> {
-    let rig = rig.map_or_else(|| arguments.convention.of(file), |rig| Ok(Some(rig)))?;
-    let mut recording = Recording::open_with(file, rig)?;
+/// Judges a recording. The exit code says whether all of it could be read.
+fn judge(file: &Path, rig: Option<&Rig>, arguments: &Arguments) -> Result<(Check, Exit), Failure> {
+    let mut recording = arguments.convention.open(file, rig)?;
     let mut bar = Progress(progress(recording.messages(), "messages"));
     let check = offline::check(&mut recording, &mut bar)?;
     bar.0.finish_and_clear();
@@ -69,7 +68,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let rig = rig.map(|rig| super::rig::read(rig, &arguments.convention)).transpose()?;
     let (mut found, mut wrong, mut exit) = (Vec::new(), Vec::new(), Exit::Done);
     for file in &arguments.files {
-        let (check, whole) = match judge(file, rig.clone(), arguments) {
+        let (check, whole) = match judge(file, rig.as_ref(), arguments) {
             Ok(judged) => judged,
             Err(failure) if arguments.files.len() > 1 => {
                 complain("error", &failure.line());

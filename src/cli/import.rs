@@ -16,8 +16,8 @@ use super::terminal::{complain, note, progress, say, table};
 use crate::core::camera::Rig;
 use crate::diagnose::Check;
 use crate::io::formats::{
-    Auto, Calibration, CameraReport, DetectionFolder, DetectionOptions, FolderMatch, ImportError,
-    MatchedBy, PointOrder, UP_IS_GUESSED, Unit, Up, frame_rate_beside,
+    Auto, Calibration, CameraReport, DetectionFolder, DetectionOptions, ExportError, FolderMatch,
+    ImportError, MatchedBy, PointOrder, UP_IS_GUESSED, Unit, Up, frame_rate_beside,
 };
 use crate::io::new_file::temporary;
 use crate::io::recording::{Provenance, Writer};
@@ -226,7 +226,7 @@ struct Attempt {
 }
 
 fn unwritable(arguments: &Arguments, error: std::io::Error) -> Failure {
-    crate::io::formats::ExportError::write(&arguments.out)(error).into()
+    ExportError::write(&arguments.out)(error).into()
 }
 
 /// A recording that was written, beside its place.
@@ -274,13 +274,12 @@ impl Imported {
             folder.notes().iter().for_each(|note| complain("note", note));
             return Err(ImportError::NoPeople { path: path.to_owned() }.into());
         }
-        for (pair, _) in folder.matches().iter().zip(folder.reports()).filter(|(_, one)| one.shares)
-        {
-            let camera = &rig.cameras[pair.camera].name;
-            if calibration.without_size.contains(camera) {
-                let (path, camera) = (arguments.calibration.clone(), camera.clone());
-                return Err(ImportError::NoImageSize { path, camera }.into());
-            }
+        let both = folder.matches().iter().zip(folder.reports());
+        let in_shares = both.filter(|(_, report)| report.shares);
+        let mut cameras = in_shares.map(|(pair, _)| &rig.cameras[pair.camera].name);
+        if let Some(camera) = cameras.find(|name| calibration.without_size.contains(*name)) {
+            let (path, camera) = (arguments.calibration.clone(), camera.clone());
+            return Err(ImportError::NoImageSize { path, camera }.into());
         }
         writer.finish()?;
         let check = check(&file).map(|mut check| {

@@ -24,7 +24,7 @@ impl Overwrite {
         Err(Failure::new(Exit::Usage, message))
     }
 
-    /// The same for a command that reads `input`: that file is never replaced.
+    /// As [`Overwrite::check`], for a command that reads `input`, which is never replaced.
     pub(crate) fn check_beside(self, input: &Path, path: &Path) -> Result<(), Failure> {
         is_no_input(input, path)?;
         self.check(path)

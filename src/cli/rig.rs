@@ -16,6 +16,7 @@ use crate::io::formats::{
 };
 use crate::io::recording::summary;
 use crate::io::report::{Drawn, draw_rig};
+use crate::offline::Recording;
 use crate::offline::output::text;
 
 /// Poses of a drawn path, at most.
@@ -147,20 +148,24 @@ impl ConventionArguments {
         Ok(read_calibration(path, &convention)?)
     }
 
-    /// The rig of a recording, read in this way; `None` if nothing was given.
-    pub(super) fn of(&self, recording: &Path) -> Result<Option<Rig>, Failure> {
+    /// Opens a recording with `rig`, or else with its own calibration, read in this way.
+    pub(super) fn open(&self, path: &Path, rig: Option<&Rig>) -> Result<Recording, Failure> {
+        let rig = rig.cloned().map_or_else(|| self.recorded_rig(path), |rig| Ok(Some(rig)))?;
+        Ok(Recording::open_with(path, rig)?)
+    }
+
+    /// The calibration of a recording, read in this way; `None` if nothing was given.
+    fn recorded_rig(&self, recording: &Path) -> Result<Option<Rig>, Failure> {
         if self.words().is_empty() {
             return Ok(None);
         }
         if self.set.is_some() {
-            let message =
-                "--set is of a calibration with several poses of a camera; give it with --rig";
-            return Err(Failure::new(Exit::Usage, message));
+            return Err(Failure::new(Exit::Usage, "--set needs a calibration file"));
         }
-        // Its poses are known.
+        // A recording always has these poses.
         let poses = Auto(self.poses.0.or(Some(Poses::CameraFromWorld)));
         let how = Self { poses, ..self.clone() };
-        // As if it was a file of a calibration.
+        // As if it came from a calibration file.
         let file = tempfile::Builder::new().suffix(".toml").tempfile();
         let file = file.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?;
         write_calibration(file.path(), &own_rig(recording)?, Up::Y)?;
@@ -240,7 +245,7 @@ fn of_file(path: &Path, how: &ConventionArguments) -> Result<Rig, Failure> {
     if !is_recording(path) {
         return read(path, how);
     }
-    how.of(path)?.map_or_else(|| own_rig(path), Ok)
+    how.recorded_rig(path)?.map_or_else(|| own_rig(path), Ok)
 }
 
 /// The rig of a recording.

@@ -119,7 +119,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let decoder = decoder(arguments.weights.as_deref())?;
     let body = match config.node.body.as_str() {
         "" if arguments.body_actor.is_some() => {
-            return Err(Failure::new(Exit::Usage, "--body-actor is of --body; give that, too"));
+            return Err(Failure::new(Exit::Usage, "--body-actor needs --body"));
         }
         "" => None,
         path => {

@@ -24,14 +24,14 @@ use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
 use crate::core::time::Timestamp;
 use crate::io::formats::{MarkerMap, Trajectories, calibration_files, read_trajectories};
-use crate::io::recording::last_body;
+use crate::io::recording::{body_files, last_body};
 use crate::offline::output::{files, of_performer};
 use crate::offline::{
     Group, NewCompanion, Observer, Options, PerformerSummary, Recording, Summary, solve_group,
 };
 
-/// What a file of a known body is for, before the name.
-pub(super) const BODY_OF: &str = "body of ";
+/// The role of a known body's file in a manifest, before the person's name.
+const BODY_OF: &str = "body of ";
 
 /// Solve a recording: 2D keypoints in, smooth 3D poses out.
 #[derive(Debug, Args)]
@@ -279,16 +279,13 @@ impl Prepared {
         Ok(Self { config, decoder, body: body.map(Arc::new), references, rig })
     }
 
-    /// The files of known bodies that are there now, by what they are for.
-    pub(super) fn bodies(&self) -> BTreeMap<String, PathBuf> {
-        let files = self.config.bodies_folder().and_then(|folder| std::fs::read_dir(folder).ok());
-        let files = files.into_iter().flatten().flatten().map(|entry| entry.path());
-        let body = |file: PathBuf| {
-            let name = file.file_stem()?.to_string_lossy().into_owned();
-            let is_body = file.extension().is_some_and(|ending| ending == "mcap");
-            is_body.then(|| (format!("{BODY_OF}{name}"), file))
+    /// The files of known bodies that exist now, by their role in the manifest.
+    pub(super) fn bodies(&self) -> Result<BTreeMap<String, PathBuf>, Failure> {
+        let files = self.config.bodies_folder().map(body_files).transpose()?.unwrap_or_default();
+        let role = |file: &PathBuf| {
+            format!("{BODY_OF}{}", file.file_stem().unwrap_or_default().to_string_lossy())
         };
-        files.filter_map(body).collect()
+        Ok(files.into_iter().map(|file| (role(&file), file)).collect())
     }
 
     /// All that changes a solve beside its files.
@@ -325,9 +322,7 @@ impl Prepared {
         for input in arguments.body.iter().map(PathBuf::as_path).chain([file]) {
             is_no_input(input, &out.join("poses.mcap"))?;
         }
-        let rig =
-            self.rig.clone().map_or_else(|| arguments.convention.of(file), |rig| Ok(Some(rig)))?;
-        let mut recording = Recording::open_with(file, rig)?;
+        let mut recording = arguments.convention.open(file, self.rig.as_ref())?;
         let times = Times::of(file, Some(&self.config))?;
         let span = arguments.span.within(&times)?;
         recording = recording.within(span);
@@ -367,13 +362,13 @@ impl Prepared {
         for one in &group.performers {
             let bvh = out.join(of_performer(&one.performer, performers, "bvh"));
             let first = one.summary.first_capture_time_ns.map(Timestamp::from_ns);
-            times.beside(&bvh, first.or(span.map(|[start, _]| start)))?;
+            times.beside(&bvh, first)?;
         }
         Ok(Solved::of(file, group, performers))
     }
 }
 
-/// Says what was lost of a recording that was read.
+/// Warns of what could not be read of a recording; the exit code says whether that is nothing.
 pub(super) fn lost(recording: &Recording) -> Exit {
     let losses = recording.losses();
     if losses.is_empty() {
@@ -383,7 +378,8 @@ pub(super) fn lost(recording: &Recording) -> Exit {
     Exit::InPart
 }
 
-/// Removes the files of performers of an earlier solve: a new one may have others. Only a solve writes states.
+/// Removes the files of performers whom only an earlier solve found. A performer's files are those beside its
+/// `.states.csv`, which nothing but a solve writes.
 fn remove_others(out: &Path, files: &[String]) {
     const STATES: &str = ".states.csv";
     let entries = std::fs::read_dir(out).into_iter().flatten().flatten();

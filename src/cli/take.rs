@@ -190,7 +190,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let is_noted = !(take.note.is_empty() && take.mark.is_empty());
     if (arguments.action == Action::Note) != is_noted {
         let why = match is_noted {
-            true => "--note and --mark are for note: bundlemocap take note NAME --mark good",
+            true => "--note and --mark are for note; use `bundlemocap take note NAME`",
             false => "note needs --note, --mark, or both",
         };
         return Err(Failure::new(Exit::Usage, why));

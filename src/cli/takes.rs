@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::solve::{Arguments, BODY_OF, Prepared, Solved, alone};
+use super::solve::{Arguments, Prepared, Solved, alone};
 use super::terminal::{complain, progress, say, table};
 use crate::core::fnv::{fnv1a, fnv1a_after};
 use crate::offline::output::text as write_text;
@@ -191,12 +191,10 @@ impl Shelf<'_> {
         let before = serde_json::from_str::<Manifest>(&text).ok();
         let mut inputs = self.inputs.clone();
         inputs.insert("recording".into(), fingerprint(take.file)?);
-        // The known bodies that were there after the solve; others may have come since.
-        let bodies = self.prepared.bodies();
-        let known = before.iter().flat_map(|before| before.inputs.keys());
-        for role in known.filter(|role| role.starts_with(BODY_OF)) {
-            let of_it = bodies.get(role).map(|path| fingerprint(path)).transpose()?;
-            inputs.extend(of_it.map(|found| (role.clone(), found)));
+        // Of the known bodies, those that existed after the solve. Others may have come since.
+        let known = |role: &String| before.iter().any(|before| before.inputs.contains_key(role));
+        for (role, path) in self.prepared.bodies()?.into_iter().filter(|(role, _)| known(role)) {
+            inputs.insert(role, fingerprint(&path)?);
         }
         let mut wanted = Manifest {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -234,7 +232,7 @@ impl Shelf<'_> {
             }
         };
         write_text(&take.out.join(SUMMARY), &solved.json()?)?;
-        for (role, path) in self.prepared.bodies() {
+        for (role, path) in self.prepared.bodies()? {
             wanted.inputs.insert(role, fingerprint(&path)?);
         }
         wanted.exit_code = solved.exit as i32;

@@ -261,14 +261,15 @@ impl<'a> Scene<'a> {
 
     /// Number of instants at which no two of the cameras that agree do, and of those at which two see somebody.
     pub(super) fn disagreeing(&self, consensus: &Consensus) -> [usize; 2] {
-        let is_seen = |at: &&usize| {
-            let views = self.views[**at].iter().zip(&consensus.members);
-            views.filter(|(views, member)| **member && !views.is_empty()).count() >= 2
-        };
-        let all: Vec<usize> = (0..self.instants.len()).collect();
-        let seen = all.iter().filter(is_seen);
-        let is_none = |at: &&usize| consensus.people[**at].iter().all(Option::is_none);
-        [seen.clone().filter(is_none).count(), seen.count()]
+        let mut counts = [0; 2];
+        for (views, people) in self.views.iter().zip(&consensus.people) {
+            let seen = views.iter().zip(&consensus.members);
+            if seen.filter(|(views, member)| **member && !views.is_empty()).count() >= 2 {
+                counts[0] += usize::from(people.iter().all(Option::is_none));
+                counts[1] += 1;
+            }
+        }
+        counts
     }
 
     /// The points of the members at each instant, without one camera if two others are left.

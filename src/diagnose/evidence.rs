@@ -52,7 +52,7 @@ pub struct Evidence {
     period: Option<FramePeriod>,
     /// `None` as long as no frame has several people.
     crowd: Option<Crowd>,
-    /// The frames so far, as long as there is no crowd: somebody else may come.
+    /// The newest frames, for a crowd that begins later.
     early: VecDeque<Detections>,
     /// The largest people in each view, and everybody.
     largest: Footage,

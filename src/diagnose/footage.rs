@@ -39,7 +39,7 @@ const BODY_POINTS: usize = 26;
 const SECTION: Nanos = Nanos::from_ms(4000);
 const MOST_SECTIONS: i64 = 12;
 const FIRST_SECTIONS: i64 = 6;
-/// A single frame so far ahead of those around it is stray.
+/// A frame is stray if it is so far ahead of the frames before and after it.
 const STRAY: Nanos = Nanos::from_ms(1000);
 /// Frames between two compared ones.
 pub(super) const APART: usize = 15;
@@ -104,7 +104,7 @@ pub(super) struct Track {
     pub(super) span: Option<[Timestamp; 2]>,
     /// Every so many sections are kept.
     stride: i64,
-    /// A frame far ahead of the one before, until the next one shows that it is not stray.
+    /// A frame far ahead of the one before. The next frame shows whether it is stray.
     held: Option<Box<Detections>>,
 }
 
@@ -113,6 +113,10 @@ fn section(capture: Timestamp) -> i64 {
 }
 
 impl Track {
+    fn forget_frames(&mut self) {
+        (self.span, self.frames) = (None, Vec::new());
+    }
+
     /// The median time between two frames.
     pub(super) fn period(&self) -> Option<Nanos> {
         let gaps = self.frames.windows(2).map(|pair| (pair[1].capture - pair[0].capture).ns());
@@ -168,11 +172,11 @@ impl Footage {
             }
             if step < Nanos::ZERO {
                 track.disordered += 1;
-                // Of two frames, the first one may be the stray one.
+                // A first frame may be stray, too.
                 if first != last || -step <= STRAY {
                     return;
                 }
-                (track.span, track.frames) = (None, Vec::new());
+                track.forget_frames();
             } else if step > STRAY && track.held.is_none() {
                 track.held = Some(Box::new(frame.clone()));
                 return;
@@ -181,7 +185,7 @@ impl Footage {
         match track.held.take() {
             Some(held) if held.capture < frame.capture => {
                 if track.span.is_some_and(|[first, last]| first == last) {
-                    (track.span, track.frames) = (None, Vec::new());
+                    track.forget_frames();
                 }
                 self.push(&held);
             }

@@ -44,7 +44,7 @@ const MOST_OPTIONS: usize = 3;
 const MOST_OF_TWO: i64 = 300;
 const ONE_SHIFT: f64 = 3.0;
 const ALIKE: f64 = 1.5;
-/// The frame periods of two cameras are one if their logarithms differ by less.
+/// Two frame periods are equal if their natural logarithms differ by less.
 const SAME_RATE: f64 = 0.05;
 
 /// The cameras without their faults.
@@ -400,7 +400,7 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
         let consensus = best.consensus.clone();
         return Some(Judged { scene, consensus, findings, general: Vec::new() });
     }
-    // They may never see somebody at one time.
+    // Perhaps the two never see somebody at the same time.
     let are_there = |at: &Vec<Vec<_>>| two.iter().all(|camera| !at[*camera].is_empty());
     let disagrees = scene.views.iter().any(are_there)
         && (disagreement.is_none_or(|error| error > DISAGREE) || !options.is_empty());

@@ -47,7 +47,7 @@ const INSTANTS: usize = 60;
 const LOOSELY_PERCENT: f64 = 60.0;
 /// A check in which fewer points agree does not clear a camera that another check finds wrong.
 const LEAST_PERCENT: f64 = 30.0;
-/// Cameras that agree do so at all but this part of the times at which two of them see somebody.
+/// If no two cameras agree at more than this part of the times at which two see somebody, something is wrong.
 const MOST_DISAGREEING: f64 = 0.15;
 /// The order of the keypoints is wrong if another one makes the limbs this much less strange.
 const LESS_STRANGE: f64 = 0.5;
@@ -265,7 +265,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             "no two cameras agree on a person, whatever is tried",
             "is it the calibration of this take, and do the cameras share a clock?",
         );
-        // Of two cameras, what is wrong with one explains it.
+        // With two cameras, a finding of one of them explains it.
         let is_explained = cameras.len() == 2 && cameras.iter().any(|row| !row.findings.is_empty());
         let findings = if is_explained { Vec::new() } else { vec![finding] };
         let (performer_height_m, performer_up, strangeness) = (None, None, None);
@@ -318,10 +318,9 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
 fn disagreeing(scene: &Scene, consensus: &consensus::Consensus) -> Option<Finding> {
     let [none, all] = scene.disagreeing(consensus);
     (none as f64 > MOST_DISAGREEING * all as f64).then(|| {
-        let what = format!(
-            "at {} % of the times at which cameras see somebody, no two of them agree",
-            100 * none / all.max(1)
-        );
+        let share = 100 * none / all.max(1);
+        let what =
+            format!("no two cameras agree at {share} % of the times at which two see somebody");
         Finding::new("disagree_at_times", what, "was a camera moved, or is it another person?")
     })
 }

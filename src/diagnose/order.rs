@@ -76,8 +76,8 @@ fn absent(footage: &Footage, cameras: &[Camera], camera: usize) -> Option<Findin
     let Track { frames, points, confident, .. } = &footage.tracks[camera];
     (!frames.is_empty() && frames.iter().all(|frame| frame.people.is_empty())).then(|| {
         if *points > 0 && *confident == 0 {
-            let what = format!("its points have confidences below {CONFIDENT}, and are not judged");
-            let fix = "does its detector have another scale? its largest should be about 1";
+            let what = format!("all its confidences are below {CONFIDENT}, so it is not judged");
+            let fix = "scale them so that the largest is about 1";
             return Finding::new("confidence_unit", what, fix);
         }
         let fix = "check its detector, the keypoint format and what it looks at";
@@ -97,7 +97,7 @@ fn doubled(track: &Track) -> Option<Finding> {
     (10 * track.doubled > track.count).then(|| {
         let (bad, all) = (track.doubled, track.count);
         let what = format!("{bad} of its {all} frames have the capture time of the one before");
-        Finding::new("duplicates", what, "are they there twice? record or import each once")
+        Finding::new("duplicates", what, "record or import each frame once")
     })
 }
 

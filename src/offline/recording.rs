@@ -69,7 +69,7 @@ impl Recording {
         Self::open_with(path, None)
     }
 
-    /// The same, with this calibration in place of the recording's, which may be missing or wrong.
+    /// Opens a recording with this calibration. The recording's own one may be missing or wrong.
     ///
     /// # Errors
     /// As [`Recording::open`].
@@ -229,7 +229,7 @@ impl Recording {
         self.is_whole && !self.seen.contains_key(&camera.name)
     }
 
-    /// What to say if the calibration changed while it was recorded; after it was read.
+    /// A note for the user if the calibration changes in the recording. Call it after the recording was read.
     pub fn rig_note(&self) -> Option<String> {
         self.has_other_rig.then(|| {
             "the calibration changes in the recording; only the first one is used (--rig takes another)"
@@ -237,7 +237,7 @@ impl Recording {
         })
     }
 
-    /// What was lost of it when it was read last.
+    /// What was lost when the recording was last read, in words.
     pub fn losses(&self) -> Vec<String> {
         self.reader.report().losses()
     }

@@ -298,7 +298,7 @@ impl Run<'_> {
         Ok(report)
     }
 
-    /// The poses begin with the first frame of the cameras, but for one that begins long before all others.
+    /// The poses begin at the first frame of any camera. One camera that begins long before all others does not count.
     fn begin(&mut self, frame: &Detections) {
         let own = &mut self.starts[frame.camera];
         if own.is_some() {

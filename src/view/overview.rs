@@ -236,7 +236,7 @@ impl Gathered {
         self.node.as_ref().map(|(number, ..)| *number)
     }
 
-    /// Number of the file whose rig counts: its poses were solved with it, if there are any.
+    /// Number of the file whose rig is shown: the file whose statuses count, else the first one with poses.
     pub(super) fn rig(&self) -> Option<usize> {
         let judged = self.judged();
         let rigs = self.rigs.iter();

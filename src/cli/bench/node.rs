@@ -40,8 +40,8 @@ pub(super) fn isolated(mut config: Config) -> Result<Config, Failure> {
     config.node.prometheus.clear();
     (config.bus.zenoh.mode, config.bus.zenoh.tls) = Default::default();
     if config.stage.performers.limit() > 1 || config.node.solver {
-        let why =
-            "bench latency is of one performer: leave [stage] performers and [node] solver out";
+        let why = "bench latency measures one performer: remove [stage] performers and [node] \
+                   solver from the settings";
         return Err(Failure::new(Exit::Usage, why));
     }
     Ok(config)

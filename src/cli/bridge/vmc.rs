@@ -294,7 +294,7 @@ impl Target {
         Ok(())
     }
 
-    /// Something is sent of that performer: the address is theirs.
+    /// Reserves the address for a performer, if it is free.
     fn claim(&mut self, actor: &str) {
         if self.performer.is_none() {
             note(&format!("{} gets {actor}", self.address));

@@ -66,14 +66,8 @@ impl Setup {
             let message = "the protocol names no seed; give one with --seed";
             return Err(Failure::new(Exit::Usage, message));
         }
-        let weights = views.output.weights.as_deref().and_then(|path| std::fs::read(path).ok());
-        let trained = weights.map_or_else(Vec::new, |bytes| trained_on(&bytes));
-        let known = protocol.subjects.iter().filter(|subject| trained.contains(subject));
-        let known: Vec<&str> = known.map(String::as_str).collect();
-        if folder.is_some() && !others && !known.is_empty() {
-            let what = "the weights were trained on clips of subjects";
-            let text = format!("{what} {}: their errors say little", known.join(", "));
-            complain("warning", &text);
+        if folder.is_some() && !others {
+            warn_of_training(views.output.weights.as_deref(), &protocol);
         }
         Ok(Self {
             decoder: decoder(views.output.weights.as_deref())?,
@@ -170,6 +164,20 @@ impl Setup {
             rigs.join(" and "),
             seeds.join(", ")
         )
+    }
+}
+
+/// Warns if the weights were trained on subjects of the protocol.
+fn warn_of_training(weights: Option<&Path>, protocol: &Protocol) {
+    let bytes = weights.and_then(|path| std::fs::read(path).ok()).unwrap_or_default();
+    let trained = trained_on(&bytes);
+    let known = protocol.subjects.iter().filter(|subject| trained.contains(subject));
+    let known: Vec<&str> = known.map(String::as_str).collect();
+    if !known.is_empty() {
+        let known = known.join(", ");
+        let text =
+            format!("the weights were trained on subjects {known}: the errors are too small");
+        complain("warning", &text);
     }
 }
 

@@ -11,7 +11,7 @@ use clap::{Args, ValueEnum};
 use self::options::{Lost, Options};
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::overwrite::{Overwrite, is_same_file};
+use super::overwrite::Overwrite;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::time::{Nanos, Timestamp};
@@ -263,16 +263,11 @@ pub(super) fn frame_from((first, fps): (Timestamp, f64), start: Timestamp) -> Ti
 fn check(paths: &[PathBuf], arguments: &Arguments) -> Result<(), Failure> {
     let mut seen = BTreeSet::new();
     for path in paths {
-        let wrong = if is_same_file(&arguments.file, path) {
-            "is the input"
-        } else if !seen.insert(plain(path)) {
-            "would be written twice"
-        } else {
-            arguments.overwrite.check(path)?;
-            continue;
-        };
-        let message = format!("{} {wrong}; choose another name", path.display());
-        return Err(Failure::new(Exit::Usage, message));
+        if !seen.insert(plain(path)) {
+            let message = format!("{} would be written twice; choose another name", path.display());
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        arguments.overwrite.check_beside(&arguments.file, path)?;
     }
     Ok(())
 }

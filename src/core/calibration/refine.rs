@@ -30,8 +30,8 @@ const PRIOR: [f64; 3] = [0.017453292519943295, 0.02, 0.02];
 const LEAST: [f64; 3] = [0.0017453292519943296, 0.005, 0.003];
 /// Nor are those below this many standard errors.
 const SIGNIFICANT: f64 = 3.0;
-/// A correction must lower the disagreement of its camera to this part, and may raise those of the others, all in all, by
-/// this part of the fall: else it fits the detector, not the camera.
+/// A correction must lower the disagreement of its camera to the first part. The disagreements of the other cameras may rise
+/// by the second part of that, in sum. Otherwise the correction fits the detector, not the camera.
 const BETTER: f64 = 0.9;
 const MOST_RISE: f64 = 1.0 / 3.0;
 /// A limb counts like this many independent points, however often it is seen.

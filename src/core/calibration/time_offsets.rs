@@ -56,14 +56,15 @@ impl TimeOffset {
     }
 }
 
-/// The step of time, in whole nominal frame periods, of which offsets up to six are found: in less, people hardly move.
+/// The step for [`time_offsets`]: the shortest whole number of frame periods of at least 8 ms. In less time, people hardly
+/// move.
 pub(crate) fn offset_step(period: Nanos) -> Nanos {
     const LEAST: Nanos = Nanos::from_ms(8);
     period * ((LEAST.ns() - 1) / period.ns().max(1) + 1)
 }
 
-/// The time offsets of cameras, from tracks of their views. Offsets up to six steps are found. Those
-/// of the first cameras may be `known`.
+/// The time offsets of cameras, from tracks of their views. Offsets of up to six `step`s are found. The offsets of the first
+/// cameras may be `known`.
 pub fn time_offsets(
     tracks: &Tracks,
     cameras: &[Camera],

@@ -37,7 +37,7 @@ const GATE: f64 = 0.25;
 /// Half of the time over which a track is smoothed, at least this many frames of its camera.
 const SMOOTHED: Nanos = Nanos::from_ms(60);
 const SMOOTHED_FRAMES: f64 = 3.5;
-/// Over a longer time limbs do not move as a quadratic does: such slow cameras have no tracks.
+/// Cameras that need a longer time have no tracks: a quadratic does not fit so much motion.
 const MOST_SMOOTHED: Nanos = Nanos::from_ms(400);
 /// A smoothed point has samples on both sides, up to this part of that time or further.
 const REACH: f64 = 0.4;

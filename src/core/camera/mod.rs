@@ -235,8 +235,8 @@ impl Camera {
         Some((self.pixel_from_distorted(&distorted), jacobian))
     }
 
-    /// Whether images of this size are those of the calibration. A size that is twice the principal point was perhaps only
-    /// taken from it: then images of about this size are, unless they are scaled.
+    /// Whether images of this width and height, pixels, are those of the calibration. If the calibrated size is twice the
+    /// principal point, it may be a guess: then sizes within 10 % are accepted, but not scaled images.
     pub fn is_of_size(&self, size: [u32; 2]) -> bool {
         const ABOUT: f64 = 0.1;
         const SCALED: f64 = 0.003;

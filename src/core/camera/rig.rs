@@ -41,8 +41,9 @@ impl Rig {
         names.eq(other.cameras.iter().map(|camera| &camera.name))
     }
 
-    /// By camera, by how much a new calibration of the same cameras changes the time offsets in use. `corrections` are in
-    /// these offsets. All of them end if one calibrated offset is another: they have a common zero. Empty: nothing changes.
+    /// By camera, by how much a new calibration of the same cameras changes the time offsets of this rig. These offsets
+    /// include `corrections`, by camera. The result is empty if the calibrated offsets stay the same. Otherwise all
+    /// corrections end, because they are relative to each other.
     pub fn offset_changes(&self, corrections: &[Nanos], new: &Self) -> Vec<Nanos> {
         let both = self.cameras.iter().zip(&new.cameras);
         let all: Vec<Nanos> = both.map(|(old, new)| new.time_offset - old.time_offset).collect();

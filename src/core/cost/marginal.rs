@@ -17,7 +17,7 @@ pub struct Marginal {
 }
 
 impl Marginal {
-    /// With so many times the information.
+    /// The model with `by` times the information.
     pub fn scaled(self, by: f64) -> Self {
         Self { hessian: self.hessian * by, gradient: self.gradient * by }
     }

@@ -92,7 +92,7 @@ pub(crate) fn checked_metadata(
     Ok(metadata)
 }
 
-/// The subjects whose clips weights were trained on, if the file says so.
+/// The subjects on whose clips the weights were trained. `bytes`: of a weights file. Empty if it does not say so.
 pub fn trained_on(bytes: &[u8]) -> Vec<String> {
     let subjects = checked_metadata(bytes, FORMAT).ok().and_then(|mut all| all.remove("subjects"));
     subjects.iter().flat_map(|all| all.split(',')).map(str::to_owned).collect()

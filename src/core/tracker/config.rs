@@ -167,10 +167,10 @@ impl Config {
             Limit::one_to_1000("window_frames", self.window_frames),
             Limit::one_to_1000("keyframe_frames", self.keyframe_frames),
             Limit(
-                "window_frames",
+                "window_frames / keyframe_frames",
                 (self.window_frames / self.keyframe_frames.max(1)) as f64,
                 0.0..=MOST_KEYFRAMES,
-                "at most 100 keyframes",
+                "at most 100",
             ),
             Limit::one_to_1000("publish_frames", self.publish_frames),
             Limit::rate_or_0("reference_rate_hz", self.reference_rate_hz, "0 (never) or 1 to 1000"),

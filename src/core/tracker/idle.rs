@@ -79,7 +79,7 @@ impl Tracker {
             return;
         };
         if self.is_fed && self.complete.is_none() {
-            // The first frames of one of several performers come when it is clear who it is.
+            // Of several performers, nothing comes until it is clear who it is.
             return;
         }
         let frames = Nanos::rounded(4.0 * self.frame_period());

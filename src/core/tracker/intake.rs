@@ -42,7 +42,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// A frame came. Returns how far behind an earlier one it is, if it is.
+    /// Notes the time of a frame. Returns by how much an earlier frame is newer, if one is.
     fn reach(&mut self, capture: Timestamp) -> Option<Nanos> {
         let before = self.watermark;
         self.watermark = before.max(Some(capture));
@@ -222,7 +222,7 @@ impl Intake {
         }
         if let Some(late) = self.late(&frame) {
             let seen = &mut self.cameras[frame.camera];
-            // A camera that is slow for a while is expected at its own rate again.
+            // Otherwise a camera that was slow for a while would count as slow for good.
             seen.reach(frame.capture);
             seen.late += u64::from(seen.last_used < Some(frame.frame));
             return Some(late);
@@ -315,8 +315,8 @@ impl Intake {
         Some(steps[STEPS / 2]).filter(|step| *step > Nanos::ZERO)
     }
 
-    /// When the next frame of a camera may come, by its shortest step of late; `None` before its first one. A camera that
-    /// loses frames is not a slow one.
+    /// When the next frame of a camera may come, by the shortest of its last steps; `None` before its first frame. The
+    /// shortest, because a camera that loses frames is not slow.
     pub(in crate::core) fn next(&self, camera: usize, period: Nanos) -> Option<Timestamp> {
         let seen = self.cameras.get(camera)?;
         let steps = seen.steps.iter().filter(|step| **step > Nanos::ZERO);

@@ -312,7 +312,7 @@ impl Tracker {
         self.shift_waiting(camera, by);
     }
 
-    /// The time offsets of a new calibration of the same cameras hold at once, in place of what was corrected.
+    /// Takes the time offsets of a new calibration of the same cameras at once. Corrections end if they change.
     pub(in crate::core) fn take_time_offsets(&mut self, new: &Rig) {
         let changes = self.rig.offset_changes(self.time_corrections(), new);
         for (camera, by) in changes.into_iter().enumerate() {

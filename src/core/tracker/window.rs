@@ -178,7 +178,7 @@ impl Tracker {
         }
         let behind = self.behind(end);
         let waited_for = behind.iter().any(|&camera| self.intake.waiting.is_waited_for(camera));
-        // One camera's clock may be fast: live, only the node's counts, else what two have reached.
+        // The clock of one camera may be fast: live the node's clock counts, else a time that two cameras have reached.
         let clock = if self.live.is_some() { self.now } else { self.intake.front_or_alone() };
         let is_overdue = clock.max(self.now) >= Some(end + self.grace());
         let is_overdue = is_overdue && !(self.live.is_some() && self.is_starved());

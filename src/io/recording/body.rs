@@ -49,6 +49,22 @@ pub fn write_body_file(path: &Path, actor: &str, body: &wire::Skeleton) -> Resul
     writer.finish()
 }
 
+/// The files of a folder of known bodies, `NAME.mcap` each, in the order of their names. None if there is no such folder.
+///
+/// # Errors
+/// The folder cannot be read.
+pub fn body_files(folder: &Path) -> Result<Vec<PathBuf>, RecordError> {
+    let entries = match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(RecordError::read(folder))?,
+    };
+    let paths = entries.map(|entry| Ok(entry.map_err(RecordError::read(folder))?.path()));
+    let mut paths = paths.collect::<Result<Vec<_>, RecordError>>()?;
+    paths.retain(|path| path.extension().is_some_and(|ending| ending == "mcap"));
+    paths.sort();
+    Ok(paths)
+}
+
 /// The people of a folder of known bodies, `NAME.mcap` each, in the order of their names. Nobody if there is no such
 /// folder.
 ///
@@ -60,17 +76,7 @@ pub fn known_people(
     node: &str,
     needed: &[String],
 ) -> Result<Vec<Known>, RecordError> {
-    let mut paths = Vec::new();
-    match std::fs::read_dir(folder) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
-        entries => {
-            for entry in entries.map_err(RecordError::read(folder))? {
-                paths.push(entry.map_err(RecordError::read(folder))?.path());
-            }
-        }
-    }
-    paths.retain(|path| path.extension().is_some_and(|ending| ending == "mcap"));
-    paths.sort();
+    let paths = body_files(folder)?;
     if paths.len() > MOST_KNOWN {
         return Err(RecordError::ManyBodies { path: folder.to_owned(), count: paths.len() });
     }

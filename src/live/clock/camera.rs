@@ -64,9 +64,9 @@ pub(crate) struct CameraClock {
     smallest: VecDeque<(i64, Nanos)>,
     /// By how much the delay has grown.
     changed: Nanos,
-    /// What the calibration, motion or somebody says to be wrong with its capture times, and is added to them.
+    /// What is added to its capture times: the offset of the calibration and the correction.
     correction: Nanos,
-    /// Whether that has changed since its frames come.
+    /// Whether that has changed since its first frame.
     pub(crate) is_corrected: bool,
     /// Largest capture time, and the last arrival.
     pub(crate) last: Option<(Timestamp, Timestamp)>,
@@ -91,7 +91,7 @@ impl CameraClock {
         *self = Self { is_silent: true, ..self.anew() };
     }
 
-    /// Nothing is known but its correction.
+    /// A clock of which only the correction is known.
     fn anew(&self) -> Self {
         let Self { correction, is_corrected, .. } = *self;
         Self { correction, is_corrected, ..Self::default() }

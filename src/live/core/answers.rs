@@ -331,7 +331,7 @@ impl Core {
 /// Time of a window from its first pose, delay of the network, and frame period.
 fn latency_times(tracker: &Tracker, delay: Nanos) -> [Nanos; 3] {
     let period = tracker.frame_period();
-    // After a reset, the grid is not known for a moment.
+    // Just after a reset, the grid is not known.
     let output = tracker.output_grid().map_or(period, |grid| grid.period_ns);
     [tracker.span() - Nanos::new(output as i64), delay, Nanos::rounded(period)]
 }

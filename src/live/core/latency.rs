@@ -37,7 +37,7 @@ const CALM: u32 = 30;
 pub(super) struct Finder {
     given: Option<Nanos>,
     least_solve: Nanos,
-    /// The latency of the run before, if there was one, and the part of it for a solve; 0: not known.
+    /// The latency of the run before, if there was one, and its part for a solve; 0: not known.
     before: Option<[Nanos; 2]>,
     solves: Vec<Nanos>,
     found: Option<Latency>,

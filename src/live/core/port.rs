@@ -149,7 +149,7 @@ pub struct Carried {
 }
 
 impl Carried {
-    /// Another calibration holds: no camera is left out, and with other time offsets none is corrected.
+    /// Takes another calibration: no camera is left out. If the time offsets differ, none is corrected.
     pub(super) fn recalibrate(&mut self, before: &[u8], now: &[u8]) {
         self.left_out.clear();
         let [before, now] = [before, now].map(|rig| {

@@ -122,7 +122,7 @@ impl Core {
         true
     }
 
-    /// The time offsets of a new calibration of the same cameras will hold in place of what was corrected.
+    /// Reports the corrections that end with a new calibration of the same cameras, see [`Rig::offset_changes`].
     fn tell_ended_corrections(&mut self, new: &Rig) {
         let Some(stage) = self.stage.as_ref().filter(|stage| stage.rig().has_cameras_of(new))
         else {

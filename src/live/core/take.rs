@@ -290,7 +290,7 @@ impl Core {
             carried: Carried {
                 take: take.name,
                 latency: self.latency.declared().or(self.settings.carried.latency),
-                // Once it had less, for the network needed the rest.
+                // In this take, the network may have left less.
                 solve: self.latency.solve().unwrap_or_default().max(self.settings.carried.solve),
                 time_offsets: stage
                     .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),

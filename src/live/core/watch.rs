@@ -30,7 +30,7 @@ impl Core {
         corrections.and_then(|all| all.get(camera)).copied().unwrap_or_default()
     }
 
-    /// What is added to the capture times of a camera: the calibration, the motion or somebody says that its clock is off.
+    /// What is added to the capture times of a camera: the offset of the calibration and the correction.
     pub(super) fn time_offset(&self, camera: usize) -> Nanos {
         let rig = self.stage.as_ref().map(stage::Stage::rig);
         let known = rig.and_then(|rig| rig.cameras.get(camera)).map(|camera| camera.time_offset);

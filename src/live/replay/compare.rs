@@ -83,8 +83,8 @@ pub(crate) struct At {
 impl At {
     /// Whether a message belongs to the run. Events of older recordings name no run.
     ///
-    /// `are_named`: whether other events of the recording name their runs. Those without one are then of before the run,
-    /// and came later from the bus's history.
+    /// `are_named`: whether other events of the recording name their runs. Then an event without a run happened before the
+    /// run; the recorder got it later, from the bus's history.
     fn holds(&self, message: &Recorded, are_named: bool) -> bool {
         match run_of(message) {
             Some(0) if is_status(message) || is_of_no_run(message) => false,

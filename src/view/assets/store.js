@@ -52,7 +52,7 @@ export class Series {
     return low;
   }
 
-  /** The item that a picture of a time shows: at most 0.21 s old, or, of fewer than 5 items a second, one and a half steps. */
+  /** The item to show at a time. It is at most 0.21 s old; where items are rarer, at most one and a half steps. */
   shown(time) {
     const newest = this.times.slice(-9);
     const step = median(newest.slice(1).map((at, k) => at - newest[k])) ?? 0;
@@ -195,7 +195,7 @@ export class Store {
     this.camera(frame.camera).add(this.seconds(capture), { people, size, arrival }, this.jump);
   }
 
-  /** What is added to the capture times of a camera, ns: by the calibration, and by what the node found since. */
+  /** What is added to the capture times of a camera, ns: the offset of the calibration and the node's correction. */
   offsetOf(camera) {
     const known = this.rig?.cameras.find(({ name }) => name === camera)?.time_offset_ns ?? 0n;
     const { status } = this.statuses.items.at(-1) ?? {};

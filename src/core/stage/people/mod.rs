@@ -11,7 +11,7 @@ use super::names::Names;
 use super::performer_id::PerformerId;
 use super::person::{HIDDEN, Person, Sight, apart};
 use crate::core::association::{
-    Assigned, Association, Gates, KEYPOINTS, Newcomer, Part, Points, associate, pixels_of,
+    Assigned, Association, Gates, KEYPOINTS, Newcomer, Part, associate, pixels_of,
 };
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
@@ -184,26 +184,23 @@ impl People {
     pub(super) fn known(&self) -> Vec<Known> {
         let is_named = |one: &Absent| self.names.given(PerformerId(one.performer)).is_some();
         let absent = self.absent.iter().filter(|one| one.merged.is_none() || is_named(one));
-        let absent = absent.map(|one| {
-            let points = if one.is_elsewhere { [None; KEYPOINTS] } else { *one.person.points() };
-            (one.performer, one.is_unwanted, &one.person, points)
-        });
-        let present = self.members.iter().filter_map(|member| match member.role {
-            Role::Performer(performer) => {
-                Some((performer, false, &member.person, *member.person.points()))
-            }
-            _ => None,
-        });
-        let known = |(performer, dropped, person, points): (usize, bool, &Person, Points)| Known {
+        let known = |performer: usize, person: &Person| Known {
             performer: PerformerId(performer),
             name: self.names.given(PerformerId(performer)).unwrap_or_default().to_owned(),
-            dropped,
             seen: person.seen,
-            points,
+            points: *person.points(),
             lengths: person.lengths.sums(),
             ..Known::default()
         };
-        let mut all: Vec<Known> = absent.chain(present).map(known).collect();
+        let absent = absent.map(|one| {
+            let known = Known { dropped: one.is_unwanted, ..known(one.performer, &one.person) };
+            if one.is_elsewhere { Known { points: [None; KEYPOINTS], ..known } } else { known }
+        });
+        let present = self.members.iter().filter_map(|member| match member.role {
+            Role::Performer(performer) => Some(known(performer, &member.person)),
+            _ => None,
+        });
+        let mut all: Vec<Known> = absent.chain(present).collect();
         all.sort_by_key(|one| one.performer);
         all
     }

@@ -15,11 +15,11 @@ const FOLLOWED: Nanos = Nanos::from_ms(2000);
 /// How far people get while they are not seen, metres and m/s.
 const AWAY_M: f64 = 0.6;
 const AWAY_M_S: f64 = 3.0;
-/// After an interruption of up to this time, who is nearest to where a performer was, and nearer than this, is the
-/// performer.
+/// After an interruption of up to this time, a person may be the performer who was nearest to that place, within these
+/// metres.
 const INTERRUPTED: Nanos = Nanos::from_ms(1500);
 const IN_PLACE_M: f64 = 0.5;
-/// Nobody else can be so near so soon, whatever the lengths say.
+/// Nobody else can come so near so soon, whatever the lengths say: time and metres.
 const AT_ONCE: (Nanos, f64) = (Nanos::from_ms(500), 0.25);
 /// Bodies that differ by less (`Lengths::difference`) are one person's.
 const SAME_BODY: f64 = 1.7;

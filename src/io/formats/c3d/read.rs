@@ -54,7 +54,7 @@ pub(in crate::io::formats) fn parse(bytes: &[u8]) -> Result<Trajectories, Trajec
     let last = end.unwrap_or(layout.last);
     let frames = last.checked_sub(first).map_or(usize::MAX, |frames| frames as usize + 1);
     let places = layout.places(bytes, &numbers, scale)?;
-    // Without TRIAL, the numbers of a long recording have gone round.
+    // In the header, the frame numbers of a long recording start at 0 again.
     let is_long = end.is_none() && places.len() > usize::from(u16::MAX);
     let frames = if is_long { places.len() } else { frames };
     let places = places.take(frames);

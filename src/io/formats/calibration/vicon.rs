@@ -53,7 +53,7 @@ fn camera(node: &Node, notes: &mut Vec<String>) -> Result<Calibrated, Fault> {
     let is_positive = |value: f64| value > 0.0 && value.is_finite();
     if !(is_positive(focal) && is_positive(aspect) && cx.is_finite() && cy.is_finite()) {
         return Err(
-            frame.fault("FOCAL_LENGTH", "or the principal point is none; is it calibrated?")
+            frame.fault("FOCAL_LENGTH", "or PRINCIPAL_POINT is not usable; is it calibrated?")
         );
     }
     let matrix = Matrix3::new(focal, 0.0, cx, 0.0, focal / aspect, cy, 0.0, 0.0, 1.0);
@@ -62,7 +62,7 @@ fn camera(node: &Node, notes: &mut Vec<String>) -> Result<Calibrated, Fault> {
     let position = Vector3::from(frame.numbers::<3>("POSITION")?);
     let reach = [cx.max(size[0] - cx), cy.max(size[1] - cy)];
     let (lens, off) = lens(radial(&frame)?, focal, reach[0].hypot(reach[1]))
-        .ok_or_else(|| frame.fault("VICON_RADIAL2", "is no distortion of a lens"))?;
+        .ok_or_else(|| frame.fault("VICON_RADIAL2", "is not the distortion of a lens"))?;
     if off > MAX_OFF_PX {
         notes.push(format!("camera {name}: the lens is matched to {off:.1} px in the corners"));
     }

@@ -12,12 +12,10 @@ use crate::io::new_file;
 /// Writes TOML in metres, as Pose2Sim and aniposelib do; its `[metadata]` says the unit and the up axis.
 ///
 /// # Errors
-/// The file cannot be written.
+/// The file cannot be written, or the format cannot have the name of a camera.
 pub fn write_calibration(path: &Path, rig: &Rig, up: Up) -> Result<(), ExportError> {
     let tables = rig.cameras.iter().map(|camera| table(camera, up));
-    if let Some(camera) = rig.cameras.iter().find(|camera| camera.name == "metadata") {
-        return Err(ExportError::Name { path: path.into(), name: camera.name.clone() });
-    }
+    check_names(path, rig, |name| name != "metadata")?;
     let metadata = format!("[metadata]\nup = \"{up}\"\nunit = \"m\"\n");
     let text: String = tables.chain([metadata]).collect();
     new_file::write(path, text.as_bytes()).map_err(ExportError::write(path))
@@ -28,12 +26,9 @@ pub fn write_calibration(path: &Path, rig: &Rig, up: Up) -> Result<(), ExportErr
 /// `extri.yml`.
 ///
 /// # Errors
-/// The file cannot be written.
+/// The file cannot be written, or the format cannot have the name of a camera.
 pub fn write_opencv(path: &Path, rig: &Rig, up: Up) -> Result<(), ExportError> {
-    let is_key = |name: &str| !name.contains(['#', ':']);
-    if let Some(camera) = rig.cameras.iter().find(|camera| !is_key(&camera.name)) {
-        return Err(ExportError::Name { path: path.into(), name: camera.name.clone() });
-    }
+    check_names(path, rig, |name| !name.contains(['#', ':']))?;
     let mut text = String::from("%YAML:1.0\n---\nnames:\n");
     // Writing to a string does not fail.
     for camera in &rig.cameras {
@@ -64,6 +59,16 @@ pub fn write_opencv(path: &Path, rig: &Rig, up: Up) -> Result<(), ExportError> {
         }
     }
     new_file::write(path, text.as_bytes()).map_err(ExportError::write(path))
+}
+
+/// Checks that the format can have the names of all cameras.
+fn check_names(path: &Path, rig: &Rig, is_valid: fn(&str) -> bool) -> Result<(), ExportError> {
+    match rig.cameras.iter().find(|camera| !is_valid(&camera.name)) {
+        Some(Camera { name, .. }) => {
+            Err(ExportError::Name { path: path.into(), name: name.clone() })
+        }
+        None => Ok(()),
+    }
 }
 
 /// The distortion; 4 or 5 coefficients unless the lens model is rational.

@@ -207,7 +207,7 @@ impl DetectionFolder {
         let is_from_one =
             first == Some(1) && cameras.iter().any(|camera| camera.fps != cameras[0].fps);
         if is_from_one {
-            notes.push("frames count from 1: that is the start of all cameras".into());
+            notes.push("frame numbers begin at 1: frame 1 is time 0 of all cameras".into());
         }
         let (order, others) = match (&options.mapping, options.order) {
             (Some(path), _) => (PointOrder::of_file(path, names.as_deref())?, Vec::new()),
