@@ -8,7 +8,7 @@ use serde_json::json;
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, is_same_file};
-use super::solve::{Progress, decoder};
+use super::solve::{Progress, decoder, lost};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::io::recording::write_body_file;
@@ -30,7 +30,7 @@ same size is not noticed.
 
 The file is only for --body. To recognise people, the node needs other files: see [stage] bodies.
 
-Exit code 15: with --strict, a take may show another person.
+Exit code 6: a take is damaged. Exit code 15: with --strict, a take may show another person.
 
 Examples:
   bundlemocap body takes/lead-*.mcap --out lead.mcap
@@ -105,6 +105,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             note.iter().for_each(|note| complain("note", note));
         }
     }
+    let mut exit = Exit::Done;
+    for recording in &recordings {
+        if lost(recording) != Exit::Done {
+            exit = Exit::InPart;
+        }
+    }
     for take in takes.iter().filter(|take| take.may_be_another_person) {
         let text = "has limbs of another length than the other takes: is it another person?";
         complain("warning", &format!("{} {text}", take.recording.display()));
@@ -117,7 +123,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if !arguments.json {
         say(&format!("the body is written to {}", arguments.out.display()));
     }
-    Ok(Exit::Done)
+    Ok(exit)
 }
 
 /// As `thigh 343 mm, shank 378 mm, ...`.

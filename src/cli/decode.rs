@@ -14,7 +14,7 @@ use super::span::Times;
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 use crate::core::manifold::{Decoder, StampedKeyframe};
-use crate::io::recording::{Message, Provenance, Reader, Writer};
+use crate::io::recording::{Message, Provenance, Reader, TAKE, Writer};
 use crate::io::timecode::House;
 use crate::io::wire::{self, Topic, Topics};
 
@@ -61,10 +61,18 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (mut performers, mut decoded) =
         (BTreeMap::<Arc<str>, Performer>::new(), Decoded::default());
     let timecode = Times::of(&arguments.file, None)?.house;
+    let mut recorded = 0;
     let new = || Performer { timecode, last: None, skeleton: None };
     while let Some(entry) = reader.next() {
         let entry = entry?;
-        let Message::Keyframe(wire) = entry.message else { continue };
+        let wire = match entry.message {
+            Message::Keyframe(wire) => wire,
+            Message::Pose(pose) => {
+                recorded += u64::from(!pose.provisional);
+                continue;
+            }
+            _ => continue,
+        };
         let keyframe = match wire.to_core() {
             Ok(keyframe) => keyframe,
             Err(error) => {
@@ -78,6 +86,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let performer = performers.entry(entry.topic.clone()).or_insert_with(new);
         performer.decode(&entry.topic, keyframe, &decoder, &mut writer, &mut decoded)?;
     }
+    if let Some(take) = reader.metadata().get(TAKE) {
+        writer.metadata(TAKE, take.clone())?;
+    }
     let lost = reader.report().losses();
     if decoded.keyframes == 0 {
         return Err(without_keyframes(&arguments.file, &lost));
@@ -85,6 +96,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     writer.finish()?;
     let Decoded { keyframes, poses, cut_off } = decoded;
     say(&format!("{}: {poses} poses from {keyframes} keyframes", arguments.out.display()));
+    let left_out = recorded.saturating_sub(poses);
+    if left_out > 0 {
+        complain("note", &format!("{left_out} poses have no keyframes, and are left out"));
+    }
     let cut_off = (cut_off > 0).then(|| format!("{cut_off} windows have no previous keyframe"));
     let wrong: Vec<String> = lost.into_iter().chain(cut_off).collect();
     if wrong.is_empty() {

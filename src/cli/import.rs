@@ -9,7 +9,7 @@ use tempfile::TempPath;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
-use super::overwrite::Overwrite;
+use super::overwrite::{Overwrite, is_no_input};
 use super::rig::{ConventionArguments, tell};
 use super::solve::Progress;
 use super::terminal::{complain, note, progress, say, table};
@@ -151,6 +151,9 @@ impl Arguments {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let path = arguments.folder()?;
     arguments.overwrite.check_beside(&arguments.calibration, &arguments.out)?;
+    for input in arguments.points.iter().map(PathBuf::as_path).chain([path]) {
+        is_no_input(input, &arguments.out)?;
+    }
     let order = arguments.format.as_deref().map(PointOrder::named).transpose()?;
     let fps = frame_rate(arguments, path)?;
     let (cameras, convention) = (arguments.camera.clone(), arguments.convention.clone());
@@ -194,6 +197,10 @@ fn frame_rate(arguments: &Arguments, folder: &Path) -> Result<f64, Failure> {
     }
     if let Some(fps) = given {
         return Ok(fps);
+    }
+    if let Err(error) = std::fs::metadata(folder) {
+        let message = format!("{}: cannot be read ({error})", folder.display());
+        return Err(Failure::new(Exit::Unreadable, message));
     }
     let Some((fps, file)) = frame_rate_beside(folder)? else {
         let message = format!(

@@ -107,7 +107,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let fix = "the disk is too slow; record fewer topics with --topics, or use another disk";
         complain("warning", &format!("{} messages were dropped: {fix}", recorded.dropped));
     }
-    let is_all = recorded.dropped + recorded.skipped == 0 && !is_stopped;
+    let is_all = recorded.dropped + recorded.skipped + recorded.failed == 0 && !is_stopped;
     Ok(if is_all { Exit::Done } else { Exit::InPart })
 }
 

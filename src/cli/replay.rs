@@ -1,5 +1,6 @@
 //! `bundlemocap replay`
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -10,6 +11,7 @@ use super::overwrite::Overwrite;
 use super::solve::decoder;
 use super::terminal::{complain, say, table};
 use crate::config::Config;
+use crate::core::time::Timestamp;
 use crate::core::tracker::Solver;
 use crate::io::recording::{METADATA, Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
@@ -217,9 +219,10 @@ fn verdict(
 fn farthest(recorded: &[Recorded], replayed: &[Recorded], topic: &str) -> f64 {
     let joints = |message: &Recorded| decode::<Pose>(&message.payload).ok()?.joint_positions().ok();
     let of_topic = |message: &&Recorded| *message.topic == *topic;
-    let pairs = recorded.iter().filter(of_topic).zip(replayed.iter().filter(of_topic));
-    let distances = pairs.filter_map(|(a, b)| {
-        let (a, b) = (joints(a)?, joints(b)?);
+    let of_time = replayed.iter().filter(of_topic).map(|message| (message.capture, message));
+    let of_time: BTreeMap<Timestamp, &Recorded> = of_time.collect();
+    let distances = recorded.iter().filter(of_topic).filter_map(|message| {
+        let (a, b) = (joints(message)?, joints(of_time.get(&message.capture)?)?);
         a.iter().zip(&b).map(|(a, b)| (a - b).norm()).reduce(f64::max)
     });
     distances.fold(0.0, f64::max)

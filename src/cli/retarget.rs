@@ -75,11 +75,12 @@ impl From<RetargetError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    if let Some(out) = &arguments.out
-        && is_same_file(out, &arguments.skeleton)
-    {
-        let message = format!("--out {} is the --skeleton; choose another name", out.display());
-        return Err(Failure::new(Exit::Usage, message));
+    if let Some(out) = &arguments.out {
+        if is_same_file(out, &arguments.skeleton) {
+            let message = format!("--out {} is the --skeleton; choose another name", out.display());
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        arguments.map.iter().try_for_each(|map| is_no_input(map, out))?;
     }
     let mut retarget = character(&arguments.skeleton, arguments.map.as_deref())?;
     match (&arguments.from, &arguments.out) {
@@ -94,7 +95,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 /// The skeleton of a BVH file, with its joint map.
 pub(super) fn character(skeleton: &Path, map: Option<&Path>) -> Result<Retarget, Failure> {
     let map = map.map(Map::read).transpose()?.unwrap_or_default();
-    Ok(Retarget::new(Target::read(skeleton, &map)?, &map)?)
+    let retarget = Retarget::new(Target::read(skeleton, &map)?, &map)?;
+    if !retarget.moves() {
+        let text = "neither the hips nor a joint above them has three position channels: the figure stays in place";
+        complain("warning", &format!("{}: {text}", skeleton.display()));
+    }
+    Ok(retarget)
 }
 
 /// One line about the skeleton and its joint map.
@@ -109,16 +115,21 @@ pub(super) fn summary(path: &Path, retarget: &Retarget) -> String {
 fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Path) -> Ended {
     let Solved { performers, damage } = read(from, false, arguments.bus.actor())?;
     let several = performers.len() > 1;
+    let times = Times::of(from, None)?;
     for Motion { actor, .. } in &performers {
         let path = path_of(out, several.then_some(actor));
-        is_no_input(&arguments.skeleton, &path)?;
-        arguments.overwrite.check_beside(from, &path)?;
+        for path in times.sidecar(&path).into_iter().chain([path]) {
+            is_no_input(&arguments.skeleton, &path)?;
+            arguments.overwrite.check_beside(from, &path)?;
+        }
     }
-    let take = Times::of(from, None)?.first;
+    let take = times.first;
     let start =
         first_pose(&performers).map_or(take, |pose| frame_from(pose, file_start(pose.0, take)));
     for one in &performers {
-        write(retarget, one, &path_of(out, several.then_some(&one.actor)), start)?;
+        let path = path_of(out, several.then_some(&one.actor));
+        write(retarget, one, &path, start)?;
+        times.beside(&path, Some(start))?;
     }
     if damage.is_empty() {
         return Ok(Exit::Done);
@@ -142,6 +153,11 @@ fn write(
     }
     if let Some(written) = file.finish(retarget)? {
         tell(&written, retarget, skeleton, out);
+    }
+    let lost = poses.iter().filter(|pose| !pose.is_tracked()).count();
+    if lost > 0 {
+        let text = "poses are coasting or lost; `export --lost mark` lists them";
+        complain("note", &format!("{}: {lost} of {} {text}", out.display(), poses.len()));
     }
     Ok(())
 }

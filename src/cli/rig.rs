@@ -111,7 +111,8 @@ enum Format {
 
 impl Format {
     fn of(path: &Path) -> Result<Self, Failure> {
-        match path.extension().and_then(|ending| ending.to_str()) {
+        let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+        match ending.to_str() {
             Some("toml") => Ok(Self::Toml),
             Some("yml" | "yaml") => Ok(Self::Opencv),
             _ => Err(Failure::new(
@@ -259,7 +260,7 @@ fn own_rig(path: &Path) -> Result<Rig, Failure> {
 }
 
 fn is_recording(path: &Path) -> bool {
-    path.extension().is_some_and(|ending| ending == "mcap")
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
 }
 
 fn row(camera: &Camera) -> (String, String) {

@@ -24,8 +24,9 @@ use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
 use crate::core::time::Timestamp;
 use crate::io::formats::{MarkerMap, Trajectories, calibration_files, read_trajectories};
-use crate::io::recording::{body_files, last_body};
-use crate::offline::output::{files, of_performer};
+use crate::io::recording::{body_files, last_body, summary};
+use crate::io::wire::{ActorChannel, Topic, Topics};
+use crate::offline::output::of_performer;
 use crate::offline::{
     Group, NewCompanion, Observer, Options, PerformerSummary, Recording, Summary, solve_group,
 };
@@ -319,8 +320,10 @@ impl Prepared {
         bar: impl FnOnce(u64) -> ProgressBar,
     ) -> Result<Solved, Failure> {
         let performers = self.config.stage.performers;
-        for input in arguments.body.iter().map(PathBuf::as_path).chain([file]) {
-            is_no_input(input, &out.join("poses.mcap"))?;
+        let shared = arguments.shared_inputs()?.into_iter().map(|(_, input)| input);
+        let outputs = files(&[Topics::default().actor], Performers::default());
+        for input in shared.chain(arguments.config.clone()).chain([file.to_owned()]) {
+            outputs.iter().try_for_each(|name| is_no_input(&input, &out.join(name)))?;
         }
         let mut recording = arguments.convention.open(file, self.rig.as_ref())?;
         let times = Times::of(file, Some(&self.config))?;
@@ -347,22 +350,32 @@ impl Prepared {
             companion: arguments.companion(),
             config_toml: Some(Config { timecode, ..self.config.clone() }.to_toml()),
         };
+        let earlier = if overwrite { performers_of(&out.join("poses.mcap")) } else { Vec::new() };
         let mut progress = Progress(bar(options.passes() * recording.messages()));
         let group = solve_group(&mut recording, &options, &mut progress)?;
         progress.0.finish_and_clear();
-        let names = group.performers.iter().map(|one| one.performer.clone());
-        if overwrite {
-            remove_others(out, &files(&names.collect::<Vec<_>>(), performers));
-        }
+        let of = |name: &str| of_performer(name, performers, "");
+        let new: Vec<_> = group.performers.iter().map(|one| of(&one.performer)).collect();
+        remove_others(out, &earlier, &new);
         if let Some(folder) = self.config.bodies_folder() {
             for (name, file) in group.write_bodies(folder)? {
                 note(&format!("the body of {name} is written to {}", file.display()));
+            }
+            let found = group.performers.iter().map(|one| &one.performer);
+            let named = found.filter(|name| self.config.stage.names.contains(name));
+            let is_new = |name: &&String| !folder.join(format!("{name}.mcap")).exists();
+            for name in named.filter(|name| !group.was_seen_well(name)).filter(is_new) {
+                note(&format!("no body of {name} is written: seen too shortly, or lost too often"));
             }
         }
         for one in &group.performers {
             let bvh = out.join(of_performer(&one.performer, performers, "bvh"));
             let first = one.summary.first_capture_time_ns.map(Timestamp::from_ns);
             times.beside(&bvh, first)?;
+            if times.house.is_none() && overwrite {
+                // That of an earlier solve.
+                let _ = std::fs::remove_file(bvh.with_extension("timecode.txt"));
+            }
         }
         Ok(Solved::of(file, group, performers))
     }
@@ -378,18 +391,35 @@ pub(super) fn lost(recording: &Recording) -> Exit {
     Exit::InPart
 }
 
-/// Removes the files of performers whom only an earlier solve found. A performer's files are those beside its
-/// `.states.csv`, which nothing but a solve writes.
-fn remove_others(out: &Path, files: &[String]) {
-    const STATES: &str = ".states.csv";
-    let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
-    for states in entries.map(|entry| entry.file_name().to_string_lossy().into_owned()) {
-        let stem = states.strip_suffix(STATES).filter(|stem| stem.starts_with("poses"));
-        let Some(stem) = stem.filter(|_| !files.contains(&states)) else { continue };
-        for ending in [".bvh", ".timecode.txt", STATES] {
+/// The files of a solve.
+fn files(names: &[String], performers: Performers) -> Vec<String> {
+    let own = |suffix| names.iter().map(move |name| of_performer(name, performers, suffix));
+    let first = std::iter::once("poses.mcap".to_owned());
+    first.chain(own("bvh")).chain(own("states.csv")).chain(["report.html".to_owned()]).collect()
+}
+
+/// The performers of a solved recording; none if it cannot be read.
+fn performers_of(poses: &Path) -> Vec<String> {
+    let topics = summary(poses).map(|info| info.topics).unwrap_or_default();
+    let performers = topics.keys().filter_map(|topic| match Topic::parse(topic) {
+        Ok(Topic::Actor { actor, channel: ActorChannel::Pose, .. }) => Some(actor.to_owned()),
+        _ => None,
+    });
+    performers.collect()
+}
+
+/// Removes the files of performers whom only the `earlier` solve found. `new`: how the names of the new files begin.
+fn remove_others(out: &Path, earlier: &[String], new: &[String]) {
+    let alone = Topics::default().actor;
+    for name in earlier {
+        let start = if *name == alone { "poses.".to_owned() } else { format!("poses.{name}.") };
+        if new.contains(&start) {
+            continue;
+        }
+        for ending in ["bvh", "timecode.txt", "states.csv"] {
             // What cannot be removed stays.
-            if std::fs::remove_file(out.join(format!("{stem}{ending}"))).is_ok() {
-                note(&format!("{stem}{ending} of the earlier solve is removed"));
+            if std::fs::remove_file(out.join(format!("{start}{ending}"))).is_ok() {
+                note(&format!("{start}{ending} of the earlier solve is removed"));
             }
         }
     }

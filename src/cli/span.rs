@@ -108,7 +108,7 @@ impl Times {
     fn time(&self, text: &str) -> Result<Timestamp, String> {
         if text.contains(':') {
             let house =
-                self.house.ok_or("give [timecode] in --config, as in config/default.toml")?;
+                self.house.ok_or("the recording has no timecode; give seconds, or run or solve with [timecode] in --config")?;
             return house.capture(text, self.first).map_err(|error| error.to_string());
         }
         let (number, unit) = match text.strip_suffix('f') {

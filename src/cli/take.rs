@@ -211,13 +211,19 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         }
     }
     if answers.is_empty() {
-        let fix = "is `bundlemocap run` up, on this --stage and bus?";
+        let fix = "is `bundlemocap run` up, on this --stage and bus, and may your certificate give commands?";
         return Err(Failure::new(Exit::Bus, format!("nobody answered; {fix}")));
     }
     let is_missing = |role: &&&str| !answers.iter().any(|answer| answer.role == **role);
     let missing: Vec<&&str> = arguments.action.roles().iter().filter(is_missing).collect();
     for role in &missing {
-        complain("warning", &format!("no {role} answered"));
+        let fix = match (**role, arguments.action) {
+            ("recorder", Action::Stop) => {
+                ": is `bundlemocap record` up, and does it record a take?"
+            }
+            _ => "",
+        };
+        complain("warning", &format!("no {role} answered{fix}"));
     }
     let is_done = missing.is_empty() && answers.iter().all(|answer| !answer.refused);
     Ok(if is_done { Exit::Done } else { Exit::InPart })

@@ -307,7 +307,7 @@ pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
         say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
     } else {
         let rows = takes.iter().flat_map(|(name, take)| match take {
-            Some((_, summary)) => rows(name, summary),
+            Some((manifest, summary)) => rows(name, summary, manifest.exit_code),
             None => vec![(
                 name.clone(),
                 "not solved: it failed, was interrupted, or is being solved".into(),
@@ -321,8 +321,10 @@ pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
     Ok(if takes.values().all(is_whole) { Exit::Done } else { Exit::InPart })
 }
 
-/// A row for each performer of a take.
-fn rows(name: &str, summary: &Value) -> Vec<(String, String)> {
+/// A row for each performer of a take. `exit`: of its solve.
+fn rows(name: &str, summary: &Value, exit: i32) -> Vec<(String, String)> {
+    let part =
+        if exit == Exit::Done as i32 { String::new() } else { format!("; exit code {exit}") };
     let row = |name: String, summary: &Value| {
         let number = |path: &str| summary.pointer(path).and_then(Value::as_f64);
         let whole = |path: &str| number(path).unwrap_or(0.0);
@@ -330,7 +332,7 @@ fn rows(name: &str, summary: &Value) -> Vec<(String, String)> {
             number("/reprojection/median_px").map_or("- px".to_owned(), |px| format!("{px:.1} px"));
         let lost = whole("/lost");
         let text = format!(
-            "{} frames, {px}, {lost} of {} windows lost",
+            "{} frames, {px}, {lost} of {} windows lost{part}",
             whole("/frames"),
             whole("/windows")
         );

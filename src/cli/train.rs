@@ -44,8 +44,8 @@ pub(super) struct Arguments {
     out: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Do not train; report the metrics of these weights.
-    #[arg(long, value_name = "FILE", conflicts_with = "out")]
+    /// Do not train; report the metrics of these weights on the clips of --test-subjects.
+    #[arg(long, value_name = "FILE", conflicts_with = "out", requires = "test_subjects")]
     evaluate: Option<PathBuf>,
     /// Train or evaluate a transition model (a motion prior on the codes of a manifold).
     #[arg(long, conflicts_with_all = MANIFOLD_ONLY)]

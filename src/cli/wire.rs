@@ -159,7 +159,7 @@ fn status(status: &Status) -> String {
     let effort = status.effort.unwrap_or_default();
     format!(
         "{}; windows {} tracked, {} coasted, {} lost, solve p50 {:.1} ms, p99 {:.1} ms; poses {}, \
-         missed {}, provisional {}; declared {:.1} ms; clock {}; effort -{}; queue dropped {}; cameras: {}",
+         missed {}, provisional {}; declared {:.1} ms; clock {}; effort {}; queue dropped {}; cameras: {}",
         if status.tracker_state.is_empty() { "no state" } else { &status.tracker_state },
         windows.tracked,
         windows.coasted,
@@ -171,7 +171,7 @@ fn status(status: &Status) -> String {
         playout.provisional,
         status.declared_latency_ns as f64 * 1e-6,
         clock(status),
-        effort.level,
+        if effort.level == 0 { "full".to_owned() } else { format!("-{}", effort.level) },
         status.queue_dropped,
         cameras.join("; ")
     )

@@ -73,7 +73,8 @@ impl CameraState {
     ) -> Option<String> {
         self.recent += 1;
         let (last, last_capture, _) = self.last.replace((number, capture, now))?;
-        if (number > last) == (capture > last_capture) {
+        // Some cameras have no counter.
+        if number == last || (number > last) == (capture > last_capture) {
             return None;
         }
         self.odd += 1;
@@ -200,5 +201,7 @@ mod tests {
             let capture = 20 * i as i64;
             assert!(camera.frame(at(capture), i, at(capture)).is_none());
         }
+        let mut camera = CameraState::new("without a counter");
+        assert!((0..20).all(|i| camera.frame(at(20 * i), 0, at(20 * i)).is_none()));
     }
 }

@@ -44,7 +44,7 @@ pub fn estimate_body(
     // Of takes that are long enough: their number, the length of their limbs (millimetres), and what they tell.
     let mut estimates = Vec::new();
     for recording in recordings.iter_mut() {
-        let mut rig = recording.chosen(&options.cameras, &[])?;
+        let (mut rig, _) = recording.chosen(&options.cameras, &[])?;
         let period = recording.frame_period(&rig)?;
         let pass = FirstPass::run(recording, &options, &mut rig, period, &mut [], observer)?;
         pass.lead(recording)?;

@@ -43,7 +43,7 @@ pub fn check_cameras(
     refine: bool,
     observer: &mut dyn Observer,
 ) -> Result<CheckedCameras, Error> {
-    let mut rig = recording.chosen(&options.cameras, &[])?;
+    let (mut rig, _) = recording.chosen(&options.cameras, &[])?;
     let period = recording.frame_period(&rig)?;
     let pass = FirstPass::run(recording, options, &mut rig, period, &mut [], observer)?;
     pass.lead(recording)?;

@@ -15,7 +15,6 @@ use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{EventKind, Output};
 use crate::diagnose::Check;
-use crate::io::recording::Report;
 
 /// The results of a solve for one performer.
 pub(super) struct Collected {
@@ -62,7 +61,6 @@ impl Collected {
         rig: &Rig,
         skeleton: &Skeleton,
         poses: PoseSummary,
-        report: &Report,
         seconds: f64,
     ) -> (Self, Summary) {
         let comparisons = std::mem::take(&mut self.comparisons);
@@ -96,7 +94,7 @@ impl Collected {
             solve_ms: SolveTime::new(&self.windows),
             frames_per_second: frames as f64 / seconds.max(1e-9),
             events: EventKind::ALL.map(|kind| (kind.name(), self.count(kind))).into(),
-            damage: report.losses(),
+            damage: recording.losses(),
             time_offsets: Vec::new(),
             check: None,
             notes: poses.note.into_iter().collect(),

@@ -59,6 +59,8 @@ impl HoldOut {
 /// come first. At most 8,192 frames wait for poses; then the oldest are dropped.
 pub struct HeldOut {
     camera: Camera,
+    /// [`GATE`], or none if nobody else can be there.
+    gate: Option<f64>,
     waiting: VecDeque<Detections>,
     /// The newest pose; `None` if it cannot be used.
     before: Option<(Timestamp, Option<Pose>)>,
@@ -71,7 +73,13 @@ impl HeldOut {
     /// The camera of the frames.
     pub fn new(camera: Camera) -> Self {
         let (waiting, errors) = (VecDeque::new(), Distribution::default());
-        Self { camera, waiting, before: None, errors, frames: 0, without: 0 }
+        Self { camera, gate: Some(GATE), waiting, before: None, errors, frames: 0, without: 0 }
+    }
+
+    /// The same for frames that show the performer alone: they count however far off the body is, if the camera sees
+    /// it.
+    pub fn of_performer_alone(camera: Camera) -> Self {
+        Self { gate: None, ..Self::new(camera) }
     }
 
     /// Adds a frame of the camera. Frames without a pose before and after are not counted.
@@ -106,10 +114,10 @@ impl HeldOut {
 
     /// Compares a frame with the body at its capture time.
     pub fn compare(&mut self, frame: &Detections, body: &impl Located) {
-        match distances(&self.camera, body, frame, &COMPARED) {
+        match nearest(&self.camera, body, frame, &COMPARED, self.gate) {
             Some(found) => {
                 self.frames += 1;
-                found.into_iter().for_each(|error| self.errors.add(error));
+                found.points.iter().for_each(|(_, way)| self.errors.add(way.norm()));
             }
             None => self.without += usize::from(!frame.people.is_empty()),
         }
@@ -184,6 +192,17 @@ pub fn differences(
     detections: &Detections,
     keypoints: &[Keypoint],
 ) -> Option<Differences> {
+    nearest(camera, body, detections, keypoints, Some(GATE))
+}
+
+/// The person who is nearest to the body, within that gate.
+fn nearest(
+    camera: &Camera,
+    body: &impl Located,
+    detections: &Detections,
+    keypoints: &[Keypoint],
+    gate: Option<f64>,
+) -> Option<Differences> {
     let project = |keypoint: Keypoint| camera.project(&body.keypoint(keypoint)?);
     let seen = body.extent().filter_map(|point| camera.project(&point));
     let height_px = height(seen)?;
@@ -193,7 +212,7 @@ pub fn differences(
         Some((median(&limbs)?, person))
     });
     let (nearest, performer) = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let is_near = nearest <= GATE * height_px;
+    let is_near = gate.is_none_or(|gate| nearest <= gate * height_px);
     is_near.then(|| Differences { height_px, points: to(performer, keypoints) })
 }
 

@@ -46,13 +46,6 @@ pub(crate) fn of_performer(name: &str, performers: Performers, suffix: &str) -> 
     }
 }
 
-/// The files of a solve.
-pub(crate) fn files(names: &[String], performers: Performers) -> Vec<String> {
-    let own = |suffix| names.iter().map(move |name| of_performer(name, performers, suffix));
-    let first = std::iter::once("poses.mcap".to_owned());
-    first.chain(own("bvh")).chain(own("states.csv")).chain(["report.html".to_owned()]).collect()
-}
-
 /// A folder for outputs. If it was created here and stays empty, it is removed on drop.
 pub(crate) struct OutputFolder {
     path: PathBuf,
@@ -71,6 +64,19 @@ impl OutputFolder {
     pub(crate) fn refuse_existing(path: &Path, files: &[impl AsRef<Path>]) -> Result<(), Error> {
         let there = files.iter().map(|name| path.join(name)).find(|path| path.exists());
         there.map_or(Ok(()), |path| Err(Error::Exists { path }))
+    }
+
+    /// Fails if there is a file of any performer.
+    pub(crate) fn refuse_performers(path: &Path) -> Result<(), Error> {
+        let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+        let mut files: Vec<PathBuf> = entries.map(|entry| entry.file_name().into()).collect();
+        files.sort();
+        let is_of_performer = |file: &&PathBuf| {
+            let name = file.to_string_lossy();
+            let mut endings = [".bvh", ".states.csv", ".timecode.txt"].iter();
+            name.starts_with("poses.") && endings.any(|ending| name.ends_with(ending))
+        };
+        Self::refuse_existing(path, &files.iter().filter(is_of_performer).collect::<Vec<_>>())
     }
 
     pub(crate) fn file(&self, name: &str) -> PathBuf {

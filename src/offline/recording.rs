@@ -1,6 +1,6 @@
 //! A recording to solve: its cameras, its detections, its truth.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{FramePeriod, FrameRate, RATE_FRAMES, UnitCheck};
 use crate::diagnose::WrongTimes;
-use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
+use crate::io::recording::{CameraInfo, Info, Message, Reader, summarise};
 use crate::io::wire::{self, StageChannel, Topic};
 
 /// A recording with matching keypoints and rig. The file is opened once; its messages are streamed,
@@ -94,7 +94,8 @@ impl Recording {
                 *count = topic.count.max(*count);
             }
         }
-        let format = info.cameras.values().map(|camera| camera.format.clone()).next();
+        let used = info.cameras.iter().find(|(name, _)| rig.index_of(name).is_some());
+        let format = used.or(info.cameras.iter().next()).map(|(_, camera)| camera.format.clone());
         let format = format.unwrap_or_default();
         let (is_whole, seen) = (info.report.is_clean(), info.cameras);
         let (span, wrong_times) = (None, BTreeMap::new());
@@ -161,13 +162,17 @@ impl Recording {
         &self.format
     }
 
-    /// Checks that every camera with keypoints is in the rig, with images of the calibrated size.
+    /// Checks that the cameras with keypoints are in the rig, and that their first images have the calibrated size. If
+    /// two are in the recording's own rig, others are only left out.
     fn check_cameras(&self) -> Result<(), Error> {
         let path = || self.path().to_owned();
+        let is_own = self.own_rig.is_some();
+        let are_enough = is_own && self.seen.len() >= self.uncalibrated().count() + 2;
+        if let Some(camera) = self.uncalibrated().next().filter(|_| !are_enough) {
+            return Err(Error::Uncalibrated { path: path(), camera: camera.clone() });
+        }
         for (name, info) in &self.seen {
-            let Some(index) = self.rig.index_of(name) else {
-                return Err(Error::Uncalibrated { path: path(), camera: name.clone() });
-            };
+            let Some(index) = self.rig.index_of(name) else { continue };
             let camera = &self.rig.cameras[index];
             let (detected, calibrated) = (info.image_size, [camera.width, camera.height]);
             if !detected.contains(&0) && !camera.is_of_size(detected) {
@@ -176,6 +181,11 @@ impl Recording {
             }
         }
         Ok(())
+    }
+
+    /// Cameras with keypoints that are not in the rig.
+    fn uncalibrated(&self) -> impl Iterator<Item = &String> {
+        self.seen.keys().filter(|name| self.rig.index_of(name).is_none())
     }
 
     /// The camera with a name; else the only one whose name differs just in case, in `_`, `-` or
@@ -197,32 +207,42 @@ impl Recording {
         })
     }
 
-    /// The rig of the cameras in `only` (if empty, all with keypoints), without the held-out ones.
+    /// The rig of the cameras in `only` (if empty, all with keypoints) without those in `held_out`, and those.
     ///
     /// # Errors
     /// An unknown camera, one in `only` without keypoints, or fewer than two cameras.
-    pub fn chosen(&self, only: &[String], held_out: &[Camera]) -> Result<Rig, Error> {
+    pub fn chosen(
+        &self,
+        only: &[String],
+        held_out: &[String],
+    ) -> Result<(Rig, Vec<Camera>), Error> {
         let path = || self.path().to_owned();
-        let mut wanted = Vec::new();
-        for name in only {
-            wanted.push(self.camera(name)?.name.as_str());
-        }
+        let named = |names: &[String]| {
+            names.iter().map(|name| self.camera(name)).collect::<Result<Vec<_>, _>>()
+        };
+        let (wanted, mut held_out) = (named(only)?, named(held_out)?);
+        let mut seen = BTreeSet::new();
+        held_out.retain(|camera| seen.insert(&camera.name));
         let chosen = self.rig.cameras.iter().filter(|camera| {
             let is_wanted = match wanted.is_empty() {
                 true => !self.is_silent(camera),
-                false => wanted.contains(&camera.name.as_str()),
+                false => wanted.contains(camera),
             };
-            is_wanted && held_out.iter().all(|held_out| held_out.name != camera.name)
+            is_wanted && !held_out.contains(camera)
         });
         let rig = Rig::new(self.rig.version, chosen.cloned().collect());
         let silent = match &rig {
-            Ok(rig) => rig.cameras.iter().chain(held_out).find(|camera| self.is_silent(camera)),
+            Ok(rig) => {
+                let mut used = rig.cameras.iter().chain(held_out.iter().copied());
+                used.find(|camera| self.is_silent(camera))
+            }
             Err(_) => self.silent().next().filter(|_| only.is_empty() && held_out.is_empty()),
         };
         if let Some(camera) = silent {
             return Err(Error::SilentCamera { path: path(), camera: camera.name.clone() });
         }
-        rig.map_err(|source| Error::Rig { path: path(), source })
+        let rig = rig.map_err(|source| Error::Rig { path: path(), source })?;
+        Ok((rig, held_out.into_iter().cloned().collect()))
     }
 
     fn is_silent(&self, camera: &Camera) -> bool {
@@ -237,9 +257,15 @@ impl Recording {
         })
     }
 
-    /// What was lost when the recording was last read, in words.
+    /// What was lost when the recording was last read, in words, and the cameras that cannot be used.
     pub fn losses(&self) -> Vec<String> {
-        self.reader.report().losses()
+        let mut losses = self.reader.report().losses();
+        let cameras: Vec<&str> = self.uncalibrated().map(String::as_str).collect();
+        if !cameras.is_empty() {
+            let text = format!("no calibration of camera {}; it is left out", cameras.join(", "));
+            losses.insert(0, text);
+        }
+        losses
     }
 
     /// The calibrated cameras without keypoints.
@@ -303,15 +329,15 @@ impl Recording {
     }
 
     /// Streams the recording from its start: the detections of all cameras of `rig` and of the
-    /// held-out cameras, and the truth, if any. Frames of cameras with time offsets are put in order. Returns a report
-    /// of what was lost.
+    /// held-out cameras, and the truth, if any. Frames of cameras with time offsets are put in order.
+    /// [`losses`](Self::losses) tells what was lost.
     pub(crate) fn stream(
         &mut self,
         rig: &Rig,
         held_out: &[Camera],
         mut each_message: impl FnMut() -> ControlFlow<()>,
         mut take: impl FnMut(Item) -> Result<(), Error>,
-    ) -> Result<Report, Error> {
+    ) -> Result<(), Error> {
         self.reader.rewind()?;
         let mut is_empty = true;
         self.has_other_rig = false;
@@ -357,6 +383,15 @@ impl Recording {
             let item = match entry.message {
                 Message::Keypoints(frame) => {
                     is_empty = false;
+                    let size = [frame.image_width, frame.image_height];
+                    let camera = index.map(|index| cameras[index]);
+                    if camera.is_some_and(|one| !size.contains(&0) && !one.is_of_size(size)) {
+                        let [width, height] = size;
+                        let what =
+                            format!("an image of {width} x {height}, not of the calibrated size");
+                        self.reader.reject(&entry.topic, &what);
+                        continue;
+                    }
                     let (percent, solved) = (in_percent(&frame), rig.cameras.len());
                     let held_out = index.and_then(|index| index.checked_sub(solved));
                     let frame = frame.to_core(|_| held_out.or(index));
@@ -392,7 +427,7 @@ impl Recording {
         while let Some(item) = in_order.next(true) {
             take(item)?;
         }
-        Ok(self.reader.report().clone())
+        Ok(())
     }
 }
 

@@ -26,7 +26,7 @@ use crate::core::stage::{Names, PerformerId, Performers, Stage};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{FramePeriod, Output, Tracker};
 use crate::diagnose::{Check, Evidence};
-use crate::io::recording::{Provenance, Report};
+use crate::io::recording::Provenance;
 use crate::io::wire::Topics;
 
 /// Solves one performer of a recording, in memory that does not grow with its length. The files appear
@@ -104,7 +104,7 @@ pub fn solve_group(
         starts: vec![None; rig.cameras.len()],
         clock: recording.clock_camera(&rig),
     };
-    let report = run.stream(&mut driver, recording, (&rig, &held_out), observer)?;
+    run.stream(&mut driver, recording, (&rig, &held_out), observer)?;
     let Run { mut collected, tracking, .. } = run;
     let check = check.unwrap_or_else(|evidence| evidence.check(&judged));
     let mut bodies = driver.skeletons();
@@ -135,7 +135,7 @@ pub fn solve_group(
     let mut pages = Vec::new();
     for ((one, skeleton), poses) in solved.zip(summaries) {
         let states = poses.states.csv();
-        let (one, summary) = one.summarise(recording, &rig, skeleton, poses, &report, seconds);
+        let (one, summary) = one.summarise(recording, &rig, skeleton, poses, seconds);
         let mut summary = Summary { time_offsets: offsets.clone(), ..summary };
         summary.notes.extend(silent.iter().cloned().chain(recording.rig_note()));
         summary.notes.extend(notes.iter().map(|note| format!("{note}; its times are corrected")));
@@ -181,8 +181,9 @@ const BODY_IS_WRONG: &str =
 
 fn output_folder(path: &Path, options: &Options) -> Result<OutputFolder, Error> {
     if !options.overwrite {
-        let first = names(options, 1);
-        OutputFolder::refuse_existing(path, &output::files(&first, options.performers))?;
+        OutputFolder::refuse_existing(path, &["poses.mcap", "report.html"])?;
+        // Their names are not known yet.
+        OutputFolder::refuse_performers(path)?;
     }
     OutputFolder::make(path)
 }
@@ -210,9 +211,7 @@ fn prepare(
     options: &Options,
     observer: &mut dyn Observer,
 ) -> Result<Prepared, Error> {
-    let held_out = options.hold_out.iter().map(|name| recording.camera(name).cloned());
-    let mut held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
-    let mut rig = recording.chosen(&options.cameras, &held_out)?;
+    let (mut rig, mut held_out) = recording.chosen(&options.cameras, &options.hold_out)?;
     let period = recording.frame_period(&rig)?;
     let (mut bodies, mut offsets, mut is_body_wrong) =
         (vec![options.body.clone()], Vec::new(), false);
@@ -282,7 +281,7 @@ impl Run<'_> {
         recording: &mut Recording,
         (rig, held_out): (&Rig, &[Camera]),
         observer: &mut dyn Observer,
-    ) -> Result<Report, Error> {
+    ) -> Result<(), Error> {
         // Both closures use the observer.
         let observer = std::cell::RefCell::new(observer);
         let mut take = |step| match step {
@@ -292,10 +291,8 @@ impl Run<'_> {
             }
         };
         let message = || observer.borrow_mut().message();
-        let report =
-            recording.stream(rig, held_out, message, |item| driver.feed(Some(item), &mut take))?;
-        driver.feed(None, take)?;
-        Ok(report)
+        recording.stream(rig, held_out, message, |item| driver.feed(Some(item), &mut take))?;
+        driver.feed(None, take)
     }
 
     /// The poses begin at the first frame of any camera. One camera that begins long before all others does not count.

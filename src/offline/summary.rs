@@ -115,12 +115,24 @@ impl Group {
     /// A file cannot be written.
     pub fn write_bodies(&self, folder: &Path) -> Result<Vec<(String, PathBuf)>, RecordError> {
         let mut written = Vec::new();
-        for known in self.known.iter().filter(|known| !known.name.is_empty()) {
+        for known in self.known.iter().filter(|known| self.was_seen_well(&known.name)) {
             let Some(body) = wire::Skeleton::of_known(known) else { continue };
             let file = write_body(folder, &known.name, &body, false)?;
             written.extend(file.map(|file| (known.name.clone(), file)));
         }
         Ok(written)
+    }
+
+    /// Whether a performer was tracked so long and so well that the body can be known: it is not replaced later.
+    pub fn was_seen_well(&self, name: &str) -> bool {
+        const LEAST_S: f64 = 2.0;
+        const MOST_LOST: f64 = 0.25;
+        let one = self.performers.iter().find(|one| one.performer == name);
+        one.is_some_and(|PerformerSummary { summary, .. }| {
+            let tracked = (summary.frames - summary.frames_lost) as f64;
+            tracked >= LEAST_S * summary.frame_rate_hz.unwrap_or(f64::INFINITY)
+                && summary.lost as f64 <= MOST_LOST * summary.windows as f64
+        })
     }
 
     /// A row for each performer.

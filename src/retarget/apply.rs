@@ -81,6 +81,11 @@ impl Retarget {
         Ok(Self { target, mapping, hips, mover, world, scale: map.scale, leg, fitted: None })
     }
 
+    /// Whether the body moves: a joint has position channels.
+    pub fn moves(&self) -> bool {
+        self.mover.is_some()
+    }
+
     /// The target.
     pub fn target(&self) -> &Target {
         &self.target

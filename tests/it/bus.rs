@@ -545,6 +545,20 @@ fn anybody_who_receives_is_known(pair: &dyn Pair) {
     assert!(pair.near().watch("mocap//t").is_err());
 }
 
+fn a_hundred_performers_have_topics(pair: &dyn Pair) {
+    let topic = |performer: usize| format!("mocap/h/actor/p{performer}/skeleton");
+    let new = |performer| pair.near().publisher(&topic(performer)).unwrap();
+    let publishers: Vec<_> = (0..100).map(new).collect();
+    let inbox = Inbox::open(pair.far(), "mocap/h/actor/*/skeleton");
+    for (performer, publisher) in publishers.iter().enumerate() {
+        put(&**publisher, 0, &[performer as u8]);
+        pair.carry();
+    }
+    let mut seen: Vec<_> = publishers.iter().map(|_| inbox.next().payload[0]).collect();
+    seen.sort_unstable();
+    assert_eq!(seen, (0..100).collect::<Vec<u8>>());
+}
+
 macro_rules! conformance {
     ($bus:ident, $pair:expr) => {
         conformance!($bus, $pair,
@@ -552,7 +566,8 @@ macro_rules! conformance {
             patterns_choose_topics a_dropped_guard_gets_nothing_more
             late_joiners_get_the_history_of_states_only several_publish_on_one_topic
             bad_names_are_refused queries_are_answered announced_names_are_seen_until_they_end
-            receivers_are_known_with_what_they_take anybody_who_receives_is_known);
+            receivers_are_known_with_what_they_take anybody_who_receives_is_known
+            a_hundred_performers_have_topics);
     };
     ($bus:ident, $pair:expr, $($check:ident)*) => {
         mod $bus {

@@ -11,7 +11,7 @@ use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::formats::bvh::Bvh;
 use bundlemocap::io::formats::{Up, read_trajectories, write_calibration};
-use bundlemocap::io::recording::{Message, Provenance, Reader, Writer, last_body};
+use bundlemocap::io::recording::{Message, Provenance, RawEntry, Reader, TAKE, Writer, last_body};
 use bundlemocap::io::wire::{self, Topics};
 use bundlemocap::metrics::segment_lengths;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
@@ -391,7 +391,8 @@ fn a_synthetic_walk_is_solved_and_exported() {
         assert!(fs::metadata(place.path("out").join(name)).unwrap().len() > 1000, "{name}");
     }
 
-    let two = place.done("solve walk.mcap --out out --overwrite --json --hold-out cam03,cam01");
+    let two =
+        place.done("solve walk.mcap --out out --overwrite --json --hold-out cam03,cam01,cam_3");
     let two: Value = serde_json::from_str(&two).unwrap();
     assert_eq!(two["hold_out"]["camera"], "cam03,cam01");
     let each = two["hold_out_cameras"].as_array().unwrap();
@@ -624,16 +625,27 @@ fn inputs_and_the_users_files_are_never_replaced() {
     place.write("in/poses.mcap", fs::read(place.path("walk.mcap")).unwrap());
     place.fails(USAGE, "solve in/poses.mcap --out in --overwrite", &[input]);
 
-    place.done("solve walk.mcap --out out");
-    for name in ["poses.mine.bvh", "poses.p9.bvh", "poses.p9.states.csv"] {
-        place.write(&format!("out/{name}"), "of an earlier solve, or the user's");
-    }
+    let map =
+        "retarget --skeleton s.bvh --from walk.mcap --map map.toml --out map.toml --overwrite";
+    place.write("map.toml", "");
+    place.fails(USAGE, map, &[input]);
+    place.fails(MALFORMED, "solve walk.mcap --out out --rig walk.mcap", &["a recording; `bundle"]);
+
+    place.done("synth --out crowd.mcap --performers 2 --seconds 2 --noise clean");
+    place.write("half/poses.p2.bvh", "of an earlier solve, or the user's");
+    let half = "solve crowd.mcap --out half --performers auto";
+    place.fails(USAGE, half, &["poses.p2.bvh", "--overwrite"]);
+    place.done("solve crowd.mcap --out out --performers auto");
+    place.done("export out/poses.mcap --actor p1 --out out/poses_mine.bvh --lost mark");
+    place.write("out/poses.mine.bvh", "the user's");
     let body = "solve walk.mcap --out out --body out/poses.mcap --overwrite";
     assert_eq!(place.run(body).status.code(), Some(USAGE));
     place.done("solve walk.mcap --out out --overwrite");
     let is_there = |name: &str| place.path(&format!("out/{name}")).exists();
-    assert!(is_there("poses.mine.bvh") && is_there("poses.bvh"));
-    assert!(!is_there("poses.p9.bvh") && !is_there("poses.p9.states.csv"));
+    for kept in ["poses.bvh", "poses.mine.bvh", "poses_mine.bvh", "poses_mine.states.csv"] {
+        assert!(is_there(kept), "{kept}");
+    }
+    assert!(!is_there("poses.p2.bvh") && !is_there("poses.p2.states.csv"));
 }
 
 #[test]
@@ -1010,6 +1022,15 @@ fn a_truncated_recording_is_solved_to_its_end() {
     assert!((20..240).contains(&frames), "{frames}");
     assert!(figures["damage"][0].as_str().unwrap().contains("damaged at byte"));
     assert!(place.path("out/poses.bvh").exists());
+
+    let body = place.run("body cut.mcap --out lead.mcap");
+    let errors = String::from_utf8_lossy(&body.stderr);
+    assert_eq!(body.status.code(), Some(IN_PART), "{errors}");
+    assert!(errors.contains("damaged at byte") && place.path("lead.mcap").exists(), "{errors}");
+    place.run("solve cut.mcap walk.mcap --out takes");
+    let table = String::from_utf8(place.run("summary takes").stdout).unwrap();
+    let told: Vec<bool> = table.lines().map(|line| line.ends_with("; exit code 6")).collect();
+    assert_eq!(told, [true, false], "{table}");
 }
 
 #[test]
@@ -1132,6 +1153,12 @@ fn poses_carry_the_timecode_of_the_house() {
             assert_eq!(label, format!("01:00:{:02}:{:02}", number / 25, number % 25), "{file}");
         }
     }
+    let start = |file: &str| Reader::open(place.path(file)).unwrap().metadata()[TAKE].clone();
+    assert_eq!(start("out/poses.mcap"), start("decoded.mcap"));
+    place.done("retarget --skeleton out/poses.bvh --from out/poses.mcap --out mine.bvh");
+    for file in ["out/poses.timecode.txt", "mine.timecode.txt"] {
+        assert_eq!(fs::read_to_string(place.path(file)).unwrap(), "01:00:00:05 25\n", "{file}");
+    }
 }
 
 #[test]
@@ -1154,6 +1181,51 @@ fn keyframes_give_the_poses_of_fast_cameras_too() {
 }
 
 #[test]
+fn frames_of_unknown_cameras_and_other_images_are_left_out() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 120, |_| true);
+    let mut reader = Reader::open(place.path("walk.mcap")).unwrap();
+    let topics = Topics::default();
+    let mut writer =
+        Writer::create(place.path("odd.mcap"), topics.clone(), &Provenance::default()).unwrap();
+    let mut moved = 0;
+    while let Some(entry) = reader.next_raw().transpose().unwrap() {
+        writer.write_raw(&entry).unwrap();
+        if *entry.topic != *topics.keypoints("cam04") {
+            continue;
+        }
+        moved += 1;
+        let mut frame: wire::KeypointFrame = wire::decode(&entry.payload).unwrap();
+        (frame.frame, frame.capture_time_ns) = (frame.frame + 500, frame.capture_time_ns + 1);
+        let other = if moved % 2 == 0 { "cam05" } else { "cam04" };
+        frame.camera = other.into();
+        (frame.image_width, frame.image_height) = (640, 512);
+        let payload = wire::encode(&frame);
+        writer
+            .write_raw(&RawEntry { topic: topics.keypoints(other).into(), payload, ..entry })
+            .unwrap();
+    }
+    writer.finish().unwrap();
+    for command in [
+        "solve odd.mcap --out odd --json",
+        "solve odd.mcap --out four --json --cameras cam01,cam02,cam03,cam04",
+    ] {
+        let output = place.run(command);
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(IN_PART), "{errors}");
+        assert!(errors.contains("no calibration of camera cam05"), "{errors}");
+        let figures: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let damage = figures["damage"][1].as_str().unwrap();
+        assert!(damage.contains("60 messages") && damage.contains("640 x 512"), "{damage}");
+        assert_eq!((&figures["frames"], &figures["frames_lost"]), (&120.into(), &0.into()));
+    }
+    let checked = place.run("check odd.mcap");
+    let errors = String::from_utf8(checked.stderr).unwrap();
+    assert_eq!(checked.status.code(), Some(IN_PART), "{errors}");
+    assert!(errors.contains("no calibration of camera cam05"), "{errors}");
+}
+
+#[test]
 fn who_is_away_for_a_while_is_no_failure() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 150, |detections| {
@@ -1171,6 +1243,14 @@ fn who_is_away_for_a_while_is_no_failure() {
     assert!(count("hidden") >= 2 && count("hidden") == count("lost"), "{figures}");
     let good = count("frames") - count("frames_lost");
     assert!((110..=125).contains(&good), "{good} frames");
+    for (command, told) in [
+        ("decode out/poses.mcap --out decoded.mcap", "poses have no keyframes, and are left out"),
+        ("retarget --skeleton out/poses.bvh --from out/poses.mcap --out r.bvh", "coasting or lost"),
+    ] {
+        let output = place.run(command);
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success() && errors.contains(told), "{errors}");
+    }
 }
 
 #[test]
@@ -1258,6 +1338,10 @@ fn invalid_folders_are_not_imported() {
     place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
     let import = format!("{IMPORT} --format body_25");
     place.fails(UNREADABLE, &import, &["pose"]);
+    place.fails(UNREADABLE, "import pose --calibration calib.toml --out take.mcap", &["pose"]);
+    place.write("own.csv", "");
+    let own = "import own.csv --calibration calib.toml --out own.csv --overwrite";
+    place.fails(USAGE, own, &["is the input; choose another name"]);
     fs::create_dir(place.path("pose")).unwrap();
     place.fails(NO_DETECTIONS, &import, &["pose", "no detections are found"]);
     detections(&place, &["cam1", "cam2", "cam3"], 75);
@@ -1387,6 +1471,14 @@ fn invalid_rigs_and_keypoints_in_recordings_are_refused() {
     let mut alone = rig();
     alone.cameras.truncate(1);
     refused(BAD_CALIBRATION, alone, keypoints("body_25", 75), &["at least two cameras"]);
+    let mut far = rig();
+    far.cameras[1].time_offset_ns = i64::MAX;
+    refused(
+        BAD_CALIBRATION,
+        far,
+        keypoints("body_25", 75),
+        &["cam02", "more than a hundred years"],
+    );
     let evidence = ["cam01/keypoints", "body_26", "halpe_26"];
     refused(KEYPOINT_FORMAT, rig(), keypoints("body_26", 75), &evidence);
     let evidence = ["cam01/keypoints", "51 entries, expected 75", "--format"];
@@ -1718,6 +1810,14 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
         assert!(evidence.iter().all(|part| errors.contains(part)), "{errors}");
     }
     place.done("solve walk.mcap --out one --body out/poses.mcap --body-actor p2");
+
+    // What was seen for a moment is nobody's body.
+    let short = place.run(
+        "solve crowd.mcap --out short --performers auto --names lead,double --bodies none --end 1.5",
+    );
+    let errors = String::from_utf8_lossy(&short.stderr);
+    assert!(short.status.success() && errors.contains("no body of lead is written"), "{errors}");
+    assert!(!place.path("none/lead.mcap").exists());
 
     place
         .done("solve crowd.mcap --out named --performers auto --names lead,double --bodies bodies");

@@ -107,6 +107,25 @@ fn capture_times_are_corrected_when_ordered() {
     }
 }
 
+/// A wrong sign makes all others late.
+#[test]
+fn a_wrong_correction_is_undone_by_zero() {
+    let mut sent = studio(1, 0.0, 14.0);
+    sent.extend([order("cam04", 1000.0, 4.0), order("cam04", 0.0, 8.0)]);
+    let (world, recorded) = recorded(World::new(&Config::default()), sent, 14.0);
+    let corrections = |seconds: f64| -> Vec<f64> {
+        status(&world, seconds).cameras.iter().map(|camera| camera.time_correction_s).collect()
+    };
+    let wrong = corrections(7.9);
+    assert!(wrong[..3].iter().all(|s| (s + 1.0).abs() < 0.1) && wrong[3].abs() < 0.1, "{wrong:?}");
+    assert_eq!(corrections(13.9), [0.0; 4]);
+    let poses = world.heard.of::<Pose>(&Topics::default().provisional());
+    let poses = poses.iter().filter(|(time, _)| (at(10.0)..at(13.5)).contains(time));
+    let count = poses.count();
+    assert!(count > 190, "{count} of 210 frame sets, {:?}", world.heard.details("time_offset"));
+    assert_agrees(&replayed(&recorded, None).unwrap());
+}
+
 #[test]
 fn a_front_corrects_the_frames_that_it_sends_to_solvers() {
     let mut config = Config::default();

@@ -95,16 +95,16 @@ fn scores_match_the_known_errors_of_a_method() {
     let case = cases(Noise::none()).remove(0);
     let solves = AtomicUsize::new(0);
     let make = || -> Vec<Box<dyn Method>> {
-        vec![Box::new(Oracle::of(&case, 0.0)), Box::new(Oracle::of(&case, 0.05))]
+        [0.0, 0.05, 2.0].map(|shift| Box::new(Oracle::of(&case, shift)) as _).into()
     };
     let decoder = Decoder::embedded().unwrap();
     let each = || {
         solves.fetch_add(1, Ordering::Relaxed);
     };
     let found = run(std::slice::from_ref(&case), &make, &decoder, 1, &each);
-    assert_eq!(solves.into_inner(), 2);
+    assert_eq!(solves.into_inner(), 3);
     let score = |row: usize| &found.rows[row].results[0].as_ref().unwrap().0;
-    let (exact, shifted) = (score(0), score(1));
+    let (exact, shifted, far) = (score(0), score(1), score(2));
     let [exact_pose, shifted_pose] = [exact, shifted].map(|score| score.pose.as_ref().unwrap());
     assert!(exact_pose.mpjpe_mm < 1e-9 && exact.acceleration_error_m_s2.unwrap() < 1e-6);
     assert!(exact.limbs.limb_mm < 1e-9 && exact.held_out_px.unwrap() < 1e-6);
@@ -115,6 +115,8 @@ fn scores_match_the_known_errors_of_a_method() {
         (shifted_pose.mpjpe_mm - 50.0).abs() < 1e-6 && (shifted_pose.rmse_mm - 50.0).abs() < 1e-6
     );
     assert!((shifted.limbs.limb_mm - 50.0).abs() < 1e-6 && shifted.held_out_px.unwrap() > 5.0);
+    let far_px = far.held_out_px.expect("a body that is far off counts, too");
+    assert!(far_px > 20.0 * shifted.held_out_px.unwrap(), "{far_px}");
     assert!(shifted_pose.mpjpe_root_relative_mm < 1e-6);
     assert_eq!((shifted_pose.pck3_percent, shifted_pose.pck7_percent), (0.0, 100.0));
     let jump = exact.velocity_jump.unwrap();

@@ -279,7 +279,7 @@ fn uneven_folders_merge_by_capture_time_and_faults_are_counted() {
         ("cam2/a_000000000007_keypoints.json", ""),
         ("cam1_json/x.5.json", "{\"people\":[]}"),
         ("cam1_json/x.7.json", &frame(&[r#"{"person_id":[-1]}"#.into(), person("1,2,1.5")])),
-        ("cam1_json/x.10.json", &frame(&[person("0,0,0"), person("NaN,2,0.5")])),
+        ("cam1_json/x.10.json", &frame(&["0,0,0", "NaN,2,0.5", "1e39,2,0.5"].map(person))),
         ("cam1_json/notes.txt", "not a frame"),
         ("cam1_json/.hidden.json", "not a frame"),
     ] {
@@ -311,8 +311,8 @@ fn uneven_folders_merge_by_capture_time_and_faults_are_counted() {
     assert!(unknown.to_string().contains("there is no phone; there are Cam_01"), "{unknown}");
     let [first, second] = stream.reports() else { panic!("two cameras") };
     assert_eq!((first.frames, first.first_frame, first.last_frame, first.gaps), (3, 5, 10, 3));
-    assert_eq!((first.people, first.people_without_points), (3, 1));
-    assert_eq!((first.points, first.non_finite_points, first.confidences_above_1), (49, 1, 1));
+    assert_eq!((first.people, first.people_without_points), (4, 1));
+    assert_eq!((first.points, first.non_finite_points, first.confidences_above_1), (65, 2, 1));
     assert_eq!((first.frames_without_people, first.broken_files), (1, 0));
     assert_eq!((second.frames, second.gaps, second.broken_files), (2, 3, 1));
     assert_eq!(second.frames_without_people, 0);

@@ -538,6 +538,39 @@ fn a_changed_calibration_file_is_used_from_the_next_window_on() {
     assert_eq!(heard.events.iter().filter(|event| event.kind == "calibrated").count(), 2);
 }
 
+#[test]
+fn the_calibration_of_the_nodes_file_stays_the_last_one_on_the_bus() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rig.toml");
+    replace(&path, &calibration(&cameras(), 0.0));
+    let studio = Studio::without_rig();
+    let rigs = Arc::new(Mutex::new(Vec::new()));
+    let heard = Arc::clone(&rigs);
+    let sink =
+        move |sample: bundlemocap::io::bus::Sample| heard.lock().unwrap().push(sample.payload);
+    let _guard = studio.bus.subscribe(&studio.topics.rig(), Box::new(sink)).unwrap();
+    let rig = path.display().to_string();
+    let config = Config { rig, rig_up: Auto(Some(Up::Y)), ..Config::default() };
+    let node = start_node(&studio.bus, &config).unwrap();
+    let count = |least: usize| {
+        let begin = Instant::now();
+        while rigs.lock().unwrap().len() < least {
+            assert!(begin.elapsed() < LONG, "{} rigs", rigs.lock().unwrap().len());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        rigs.lock().unwrap().clone()
+    };
+    let ours = count(1)[0].clone();
+    let other = encode(&wire::Rig::from_core(&cameras()));
+    assert_ne!(other, ours);
+    for played in 1..=2 {
+        studio.put(&studio.topics.rig(), &other);
+        let rigs = count(1 + 2 * played);
+        assert!(rigs[2 * played - 1] == other && rigs[2 * played] == ours, "{played}");
+    }
+    node.stop().unwrap();
+}
+
 /// Exit code, standard output, standard error.
 fn program(arguments: &[&str]) -> (Option<i32>, String, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_bundlemocap")).args(arguments).output().unwrap();

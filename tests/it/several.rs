@@ -415,6 +415,7 @@ fn performers_are_named_dropped_and_followed() {
         name("p3", "p1", 2.2),
         name("p7", "extra", 2.3),
         slate("drop", "p3", 3.0),
+        slate("drop", "p3", 3.1),
         slate("start", "fight", 5.0),
         follow(vec![40.0, 0.0], 7.9),
         follow(place.clone(), 8.0),
@@ -424,9 +425,11 @@ fn performers_are_named_dropped_and_followed() {
     let (world, recorded) = recorded(World::new(&stage.config), messages, 11.0);
     let answers = answers(&world);
     let refused: Vec<bool> = answers.iter().map(|answer| answer.0).collect();
-    let expected = [false, true, true, true, false, false, true, false, true, false];
+    let expected = [false, true, true, true, false, true, false, true, false, true, false];
     assert_eq!(refused, expected, "{answers:?}");
-    for (at, what) in [(1, "lead"), (3, "lead, double, p3"), (6, "nobody"), (8, "p3")] {
+    for (at, what) in
+        [(1, "lead"), (3, "lead, double, p3"), (5, "not here"), (7, "nobody"), (9, "p3")]
+    {
         assert!(answers[at].1.contains(what), "{what} is not in {:?}", answers[at]);
     }
 

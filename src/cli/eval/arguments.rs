@@ -61,7 +61,7 @@ pub(super) struct Methods {
 }
 
 /// Compare methods on a real recording: reprojection error, error in each camera when held out, and
-/// distance to a reference.
+/// distance to a reference. Times of cameras are not corrected: `check` names wrong ones.
 #[derive(Debug, Args)]
 pub(super) struct Recording {
     /// The recording.
@@ -151,7 +151,7 @@ pub(super) struct Latencies {
     pub(super) motions: Motions,
 }
 
-/// Vary our settings one at a time.
+/// Vary our settings one at a time, at the first level of --noise.
 #[derive(Debug, Args)]
 pub(super) struct Ablation {
     /// All, or some of window, publish, keyframe, interpolation, stiffness, robust_scale, optimiser,
@@ -220,7 +220,7 @@ pub(super) struct Views {
     /// Frame rate of the cameras, 1 to 1000 Hz [protocol: 50].
     #[arg(long, value_name = "HZ", value_parser = ratio, allow_negative_numbers = true)]
     pub(super) fps: Option<f64>,
-    /// Rigs: h36m, h36m-s11, 3dhp, ring2 to ring64; several are used in turn [h36m].
+    /// Rigs: h36m, h36m-s11, 3dhp, ring2 to ring64; several are used in turn [h36m; ring4 for performers].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) rig: Vec<String>,
     /// File with the Human3.6M cameras; default: in the folder of the variable BUNDLEMOCAP_DATA, or in

@@ -10,13 +10,13 @@ use super::arguments;
 use super::output::write;
 use super::setup::within;
 use crate::cli::failure::{Exit, Failure};
-use crate::cli::solve::decoder;
+use crate::cli::solve::{decoder, lost};
 use crate::cli::terminal::{complain, progress};
 use crate::core::detections::KeypointFormat;
 use crate::io::formats::{MarkerMap, read_trajectories};
 use crate::io::report::{Bars, ReportData};
 use crate::offline::recording::Item;
-use crate::offline::{FrameClock, Recording, Reference};
+use crate::offline::{FrameClock, HoldOut, Recording, Reference};
 use crate::research::experiments::methods;
 use crate::research::experiments::real::{
     HeldOutCamera, Markers, RealScore, degraded, frame_rate, measure, table, table_of_points,
@@ -36,9 +36,8 @@ impl Loaded {
     /// The named cameras (all with keypoints if there are none), and those that are held out.
     pub(super) fn read(path: &Path, only: &[String], hold_out: &[String]) -> Result<Self, Failure> {
         let mut recording = Recording::open(path)?;
-        let cameras = hold_out.iter().map(|name| recording.camera(name).cloned());
-        let cameras = cameras.collect::<Result<Vec<_>, _>>()?;
-        let rig = Arc::new(recording.chosen(only, &cameras)?);
+        let (rig, cameras) = recording.chosen(only, hold_out)?;
+        let rig = Arc::new(rig);
         let (mut frames, mut clocks) = (Vec::new(), Vec::new());
         let clock = recording.clock_camera(&rig);
         let mut seen = vec![Vec::new(); cameras.len()];
@@ -60,6 +59,7 @@ impl Loaded {
                 Ok(())
             },
         )?;
+        lost(&recording);
         let short = || {
             let message = format!("{}: fewer than two frames of a camera", path.display());
             Failure::new(Exit::NoDetections, format!("{message}; give a longer recording"))
@@ -104,6 +104,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
         }
     }
     bar.finish_and_clear();
+    warn_of_left_out(&scores);
     if scores.is_empty() {
         let message = format!("{}: nobody was found; check the calibration", path.display());
         return Err(Failure::new(Exit::NobodyFound, message));
@@ -141,6 +142,28 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
         "methods": scores,
     });
     write(&asked.output.out, &report, &results)
+}
+
+/// Warns of methods whose bodies are far from everybody in more held-out frames than those of others: such frames
+/// have no error.
+fn warn_of_left_out(scores: &[RealScore]) {
+    const MORE: f64 = 0.02;
+    let share = |score: &RealScore| {
+        let all = HoldOut::of_all(&score.hold_out)?;
+        let without = all.frames_without_performer;
+        Some(without as f64 / (all.frames + without).max(1) as f64)
+    };
+    let least = scores.iter().filter_map(share).fold(1.0, f64::min);
+    for score in scores {
+        if let Some(share) = share(score).filter(|share| *share > least + MORE) {
+            let (method, percent) = (&score.method, 100.0 * share);
+            let text = format!(
+                "{method}: nobody is near its body in {percent:.0} % of the held-out frames; \
+                                held out px does not count them"
+            );
+            complain("warning", &text);
+        }
+    }
 }
 
 /// The error in each held-out camera.

@@ -14,6 +14,8 @@ use crate::research::experiments::{Case, Methods, Run, Subject, View, procedural
 use crate::research::synth::{Body, Noise, Protocol, RigError, rig_named};
 use crate::research::train::{self, Clip, read_folder};
 
+/// The rig if neither a protocol nor an option names one.
+const RIG: &str = "h36m";
 /// File of the Human3.6M cameras in `BUNDLEMOCAP_DATA` or `../shared`.
 const H36M: &str = "recordings/h36m_rig/cameras.json";
 /// Number of procedural motions, used without a folder of clips.
@@ -34,17 +36,22 @@ pub(super) struct Setup {
 impl Setup {
     /// Reads protocol, weights, rigs and motions.
     pub(super) fn new(motions: &Motions) -> Result<Self, Failure> {
-        Self::of(motions, false)
+        Self::of(motions, false, RIG)
+    }
+
+    /// The same for crowds, of which only the number of cameras counts.
+    pub(super) fn of_crowds(motions: &Motions) -> Result<Self, Failure> {
+        Self::of(motions, false, "ring4")
     }
 
     /// The same with the clips of all subjects that are not named.
     pub(super) fn of_others(motions: &Motions) -> Result<Self, Failure> {
-        Self::of(motions, true)
+        Self::of(motions, true, RIG)
     }
 
-    fn of(motions: &Motions, others: bool) -> Result<Self, Failure> {
+    fn of(motions: &Motions, others: bool, rig_without_protocol: &str) -> Result<Self, Failure> {
         let Motions { views, every, jobs, .. } = motions;
-        let protocol = protocol(motions)?;
+        let protocol = protocol(motions, rig_without_protocol)?;
         let seconds = protocol.sequence.seconds;
         let format = KeypointFormat::from_name(&protocol.format).ok_or_else(|| {
             let message = format!("format {:?} of the protocol is unknown", protocol.format);
@@ -181,11 +188,11 @@ fn warn_of_training(weights: Option<&Path>, protocol: &Protocol) {
     }
 }
 
-fn protocol(motions: &Motions) -> Result<Protocol, Failure> {
+fn protocol(motions: &Motions, rig_without_protocol: &str) -> Result<Protocol, Failure> {
     let Motions { views, subjects, body, .. } = motions;
     let mut protocol = match &views.protocol {
         Some(path) => read_protocol(path)?,
-        None => Protocol { rigs: vec!["h36m".to_owned()], ..Protocol::default() },
+        None => Protocol { rigs: vec![rig_without_protocol.to_owned()], ..Protocol::default() },
     };
     if !subjects.is_empty() {
         protocol.subjects.clone_from(subjects);

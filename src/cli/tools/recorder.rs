@@ -12,7 +12,7 @@ use std::time::{Duration, UNIX_EPOCH};
 use super::room::Room;
 use super::silence::Silence;
 use crate::core::time::{Nanos, Timestamp};
-use crate::io::recording::{Provenance, RawEntry, RecordError, Writer};
+use crate::io::recording::{Provenance, RawEntry, RecordError, Writer, part_of};
 use crate::io::wire::{ActorChannel, StageChannel, Take, Topic, Topics, valid_name};
 
 /// Inputs of this time before a take are in its file, and messages of this time after it.
@@ -35,6 +35,8 @@ pub(crate) struct Recorded {
     pub(crate) dropped: u64,
     /// Messages on topics above the limit, which are not recorded.
     pub(crate) skipped: u64,
+    /// Takes that could not be completed.
+    pub(crate) failed: u64,
 }
 
 /// A file that is being written.
@@ -42,6 +44,8 @@ struct Open {
     path: PathBuf,
     writer: Writer,
     recorded: Recorded,
+    /// Whether somebody removed it.
+    is_gone: bool,
 }
 
 impl Open {
@@ -99,6 +103,8 @@ pub(crate) struct Recorder {
     ending: Vec<Ending>,
     /// Messages on topics above the limit, of all complete takes.
     skipped: u64,
+    /// Number of takes that could not be completed.
+    failed: u64,
     rig: Option<RawEntry>,
     /// The inputs of the last second.
     recent: VecDeque<RawEntry>,
@@ -118,7 +124,12 @@ impl Recorder {
     ) -> Result<Self, RecordError> {
         let open = |path: &Path| -> Result<Open, RecordError> {
             let writer = Writer::live(path, topics.clone(), &provenance)?;
-            Ok(Open { path: path.to_owned(), writer, recorded: Recorded::default() })
+            Ok(Open {
+                path: path.to_owned(),
+                writer,
+                recorded: Recorded::default(),
+                is_gone: false,
+            })
         };
         Ok(Self {
             all: file.map(open).transpose()?,
@@ -129,6 +140,7 @@ impl Recorder {
             last: None,
             ending: Vec::new(),
             skipped: 0,
+            failed: 0,
             rig: None,
             recent: VecDeque::new(),
             silence: Silence::default(),
@@ -203,7 +215,9 @@ impl Recorder {
         let name = name.ok_or_else(|| std::io::Error::other("no take was recorded"))?;
         let path = self.folder.join(NOTES);
         let is_new = !path.exists();
-        let mut file = std::fs::OpenOptions::new().create(true).append(true).open(&path)?;
+        let file = std::fs::OpenOptions::new().create(true).append(true).open(&path);
+        let mut file =
+            file.map_err(|error| std::io::Error::other(format!("{}: {error}", path.display())))?;
         if is_new {
             writeln!(file, "time,take,mark,note")?;
         }
@@ -232,7 +246,7 @@ impl Recorder {
             Err(error) => return Ok(vec![Said::Answer(take.id, Err(error.to_string()))]),
         };
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let mut file = Open { path, writer, recorded: Recorded::default() };
+        let mut file = Open { path, writer, recorded: Recorded::default(), is_gone: false };
         let begin = now - MARGIN;
         // It may have come long before the take.
         let rig = self.rig.clone().map(|rig| RawEntry { log_time: begin, ..rig });
@@ -250,8 +264,12 @@ impl Recorder {
     /// `NAME.mcap`, or `NAME_2.mcap` and so on if that exists.
     fn free_path(&self, name: &str) -> PathBuf {
         let path = |file: String| self.folder.join(file);
-        let is_free =
-            |file: &String| !path(file.clone()).exists() && !path(format!("{file}.part")).exists();
+        // The file of a take that still ends may have been removed.
+        let is_open =
+            |file: &String| self.ending.iter().any(|one| one.file.path == path(file.clone()));
+        let is_there =
+            |file: &String| path(file.clone()).exists() || path(format!("{file}.part")).exists();
+        let is_free = |file: &String| !is_there(file) && !is_open(file);
         let names = (2..).map(|number: u64| format!("{name}_{number}.mcap"));
         let file = std::iter::once(format!("{name}.mcap")).chain(names).find(is_free);
         path(file.unwrap_or_default())
@@ -261,12 +279,22 @@ impl Recorder {
     pub(crate) fn tick(&mut self, now: Timestamp) -> Result<Vec<Said>, RecordError> {
         let mut said = Vec::new();
         for Ending { file, command, .. } in self.ending.extract_if(.., |take| now >= take.until) {
-            let (path, recorded) = file.finish()?;
-            self.skipped += recorded.skipped;
-            let text = format!("{}: {} messages", path.display(), recorded.messages);
-            said.push(match command {
-                Some(id) => Said::Answer(id, Ok(text)),
-                None => Said::Warning(format!("nobody stopped the take: {text}")),
+            let path = file.path.clone();
+            let done = match file.is_gone {
+                true => Err("somebody has removed or moved it".to_owned()),
+                false => file.finish().map_err(|error| error.to_string()),
+            };
+            let done = done.map(|(_, recorded)| {
+                self.skipped += recorded.skipped;
+                format!("{}: {} messages", path.display(), recorded.messages)
+            });
+            // The other takes go on.
+            self.failed += u64::from(done.is_err());
+            let done = done.map_err(|error| format!("{} is not complete: {error}", path.display()));
+            said.push(match (command, done) {
+                (Some(id), done) => Said::Answer(id, done),
+                (None, Ok(text)) => Said::Warning(format!("the take was not stopped: {text}")),
+                (None, Err(error)) => Said::Warning(error),
             });
         }
         Ok(said)
@@ -285,6 +313,12 @@ impl Recorder {
         for file in self.files() {
             file.writer.flush()?;
             skipped += file.recorded.skipped;
+            let part = part_of(&file.path);
+            if !file.is_gone && !part.exists() {
+                file.is_gone = true;
+                let text = format!("{} is gone: what is recorded there is lost", part.display());
+                said.push(Said::Warning(text));
+            }
         }
         if skipped > 0 && !std::mem::replace(&mut self.is_skipping_said, true) {
             let most = Writer::MOST_TOPICS;
@@ -311,7 +345,8 @@ impl Recorder {
         let said = self.tick(Timestamp::from_ns(i64::MAX))?;
         let takes = Recorded { skipped: self.skipped, ..Recorded::default() };
         let recorded = self.all.map(Open::finish).transpose()?;
-        Ok((recorded.map_or(takes, |(_, recorded)| recorded), said))
+        let recorded = recorded.map_or(takes, |(_, recorded)| recorded);
+        Ok((Recorded { failed: self.failed, ..recorded }, said))
     }
 }
 
@@ -425,6 +460,35 @@ mod tests {
         assert_eq!(["a.mcap", "b.mcap", "b_2.mcap"].map(poses), [16, 26, 27]);
         let is_warning = |said: &&Said| matches!(said, Said::Warning(_));
         assert_eq!((said.len(), said.iter().filter(is_warning).count()), (6, 2), "{said:?}");
+    }
+
+    #[test]
+    fn a_take_whose_folder_goes_away_is_said_and_the_next_one_is_recorded() {
+        let (folder, mut recorder) = recorder();
+        recorder.slate(&slate("start", "a"), at(0.0)).unwrap();
+        recorder.write(entry(&Topics::default().pose(), 0.0)).unwrap();
+        std::fs::remove_dir_all(folder.path()).unwrap();
+        let (said, goes_on) = recorder.second(at(1.0), None).unwrap();
+        let is_told = |said: &Said| matches!(said, Said::Warning(text) if text.contains("a.mcap.part is gone"));
+        assert!(goes_on && said.iter().any(is_told), "{said:?}");
+        assert!(!recorder.second(at(2.0), None).unwrap().0.iter().any(is_told));
+        recorder.slate(&slate("stop", "a"), at(2.0)).unwrap();
+        let said = recorder.tick(at(4.0)).unwrap();
+        let [Said::Answer(3, Err(text))] = &said[..] else { panic!("{said:?}") };
+        assert!(text.contains("a.mcap is not complete"), "{text}");
+        std::fs::create_dir(folder.path()).unwrap();
+        // The next one has the same name, also while the lost one ends.
+        recorder.slate(&slate("start", "b"), at(5.0)).unwrap();
+        std::fs::remove_file(folder.path().join("b.mcap.part")).unwrap();
+        recorder.slate(&slate("start", "b"), at(6.0)).unwrap();
+        recorder.second(at(6.1), None).unwrap();
+        recorder.slate(&slate("stop", "b"), at(6.5)).unwrap();
+        let said = recorder.tick(at(8.0)).unwrap();
+        let [Said::Warning(lost), Said::Answer(3, Ok(whole))] = &said[..] else {
+            panic!("{said:?}")
+        };
+        assert!(lost.contains("b.mcap is not complete") && whole.contains("b_2.mcap"), "{said:?}");
+        assert_eq!(recorder.finish().unwrap().0.failed, 2);
     }
 
     #[test]

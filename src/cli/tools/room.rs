@@ -41,11 +41,12 @@ impl Room {
         let is_new = is_little && !self.is_said;
         self.is_said = is_little;
         let minutes = left / rate.max(1) / 60;
-        let text = || {
-            format!(
-                "{megabytes} MB are free on the disk, enough for about {minutes} minutes; free some space"
-            )
+        // While hardly anything comes, the rate tells nothing.
+        let enough = match minutes {
+            0..1000 => format!(", enough for about {minutes} minutes"),
+            _ => String::new(),
         };
+        let text = || format!("{megabytes} MB are free on the disk{enough}; free some space");
         (is_new.then(text), true)
     }
 }

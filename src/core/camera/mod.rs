@@ -69,6 +69,16 @@ pub enum CameraError {
         /// Which field.
         field: &'static str,
     },
+    /// The time offset is larger than a hundred years.
+    #[error(
+        "camera {camera}: the time offset is {ms:.3e} ms, more than a hundred years; correct time_offset_ms"
+    )]
+    TimeOffset {
+        /// The camera's name.
+        camera: String,
+        /// Milliseconds.
+        ms: f64,
+    },
     /// Width or height is zero.
     #[error(
         "camera {camera}: the image size {width}x{height} is empty; give width and height in pixels"

@@ -3,6 +3,9 @@
 use super::{Camera, CameraError};
 use crate::core::time::Nanos;
 
+/// Clocks of other epochs are less than a hundred years apart.
+const MOST_OFFSET: Nanos = Nanos::new(100 * 365 * 24 * 3600 * 1_000_000_000);
+
 /// Cameras with a common world frame.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
@@ -14,15 +17,19 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// Makes a rig. Checks that it has at least two cameras, with unique names.
+    /// Makes a rig. Checks that it has at least two cameras, with unique names and possible time offsets.
     ///
     /// # Errors
-    /// [`CameraError::TooFewCameras`] or [`CameraError::DuplicateName`].
+    /// [`CameraError::TooFewCameras`], [`CameraError::DuplicateName`] or [`CameraError::TimeOffset`].
     pub fn new(version: u64, cameras: Vec<Camera>) -> Result<Self, CameraError> {
         if cameras.len() < 2 {
             return Err(CameraError::TooFewCameras { found: cameras.len() });
         }
         for (i, camera) in cameras.iter().enumerate() {
+            if camera.time_offset.abs() > MOST_OFFSET {
+                let (camera, ms) = (camera.name.clone(), camera.time_offset.ms());
+                return Err(CameraError::TimeOffset { camera, ms });
+            }
             if cameras[..i].iter().any(|other| other.name == camera.name) {
                 return Err(CameraError::DuplicateName { name: camera.name.clone() });
             }

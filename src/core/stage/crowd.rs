@@ -153,6 +153,7 @@ impl Crowd {
     pub fn restart(&mut self, by: Nanos) {
         let before = self.sets.clear(self.rig.cameras.len());
         self.sets.intake().count_on_from(&before);
+        self.sets.events.extend(before.abandoned());
         self.people.restart(by);
     }
 

@@ -1,6 +1,6 @@
 //! The buffer of detections between arrival and use: ordered by capture time, each frame once.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use super::event::{Event, EventKind};
@@ -20,6 +20,9 @@ const ALONE: Nanos = Nanos::from_ms(5000);
 /// If more frames than this seem to be missing at once, the counter has jumped.
 const MAX_MISSING: u64 = 1_000_000;
 
+/// Number of frames of a camera that are known after their window.
+const RECENT: usize = 64;
+
 /// Number of steps of a camera's capture time of which the median counts.
 const STEPS: usize = 5;
 
@@ -27,7 +30,7 @@ const STEPS: usize = 5;
 type Frames = BTreeMap<(Timestamp, usize, u64), Arc<Detections>>;
 
 /// The state of one camera.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Seen {
     format: Option<KeypointFormat>,
     watermark: Option<Timestamp>,
@@ -37,8 +40,10 @@ struct Seen {
     last: Option<(u64, Timestamp)>,
     /// The last steps of its capture time.
     steps: [Nanos; STEPS],
-    /// Number of frames that came too late since the last one that was used.
-    late: u64,
+    /// Numbers of the last frames that came and were not used.
+    unused: BTreeSet<u64>,
+    /// Number and capture time of its last frames in the buffer.
+    recent: VecDeque<(u64, Timestamp)>,
 }
 
 impl Seen {
@@ -116,7 +121,12 @@ impl Intake {
         grace: Option<Nanos>,
     ) -> Vec<Event> {
         let (camera, capture) = (frame.camera, frame.capture);
+        let mut events = self.vote(camera, frame.format);
+        let number = frame.frame;
         let event = self.add(frame, now);
+        if matches!(event.as_ref().map(|e| e.kind), Some(EventKind::Late | EventKind::Unusable)) {
+            self.came_unused(camera, number);
+        }
         let is_used = match event.as_ref().map(|event| event.kind) {
             None | Some(EventKind::OutOfOrder) => true,
             // It would have come in time if it had been waited for.
@@ -132,7 +142,17 @@ impl Intake {
             count: 1,
             detail: "waited for again".to_owned(),
         });
-        event.into_iter().chain(returned).collect()
+        events.extend(event.into_iter().chain(returned));
+        events
+    }
+
+    /// A frame of a camera came and is not used: it is not missing.
+    fn came_unused(&mut self, camera: usize, number: u64) {
+        let Some(seen) = self.cameras.get_mut(camera) else { return };
+        seen.unused.insert(number);
+        if seen.unused.len() > RECENT {
+            seen.unused.pop_first();
+        }
     }
 
     /// The frames to add when `frame` arrives: none if its capture time is far off its camera's line,
@@ -157,6 +177,9 @@ impl Intake {
         if off.abs() > limit {
             return (held.into_iter().chain([frame]).collect(), None);
         }
+        if let Some(held) = &held {
+            self.came_unused(held.camera, held.frame);
+        }
         let stray = held.map(|held| {
             let off = held.capture.seconds_since(frame.capture);
             let number = held.frame;
@@ -177,6 +200,7 @@ impl Intake {
         seen.watermark = seen.watermark.map(|watermark| watermark + by);
         self.reached = None;
         seen.last = seen.last.map(|(number, capture)| (number, capture + by));
+        seen.recent.iter_mut().for_each(|(_, capture)| *capture = *capture + by);
         self.held[camera].iter_mut().for_each(|frame| frame.capture = frame.capture + by);
         // Earlier ones belong to a window that is being solved.
         let waits = |capture: &Timestamp| self.closed.is_none_or(|closed| *capture > closed);
@@ -189,7 +213,10 @@ impl Intake {
             let own = Arc::make_mut(&mut frame);
             own.capture = own.capture + by;
             match self.late(&frame) {
-                Some(event) => events.push(event),
+                Some(event) => {
+                    self.came_unused(camera, frame.frame);
+                    events.push(event);
+                }
                 None => drop(self.frames.insert((frame.capture, camera, frame.frame), frame)),
             }
         }
@@ -215,16 +242,16 @@ impl Intake {
         if frame.camera >= self.cameras.len() {
             return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
         }
-        let format = self.vote(frame.camera, frame.format);
-        if format != frame.format {
-            let detail = format!("{} in a stream of {}", frame.format.name(), format.name());
-            return event(EventKind::Unusable, detail);
+        if let Some(format) = self.format.filter(|format| *format != frame.format) {
+            return Some(of_another_format(&frame, format));
         }
         if let Some(late) = self.late(&frame) {
             let seen = &mut self.cameras[frame.camera];
+            if seen.recent.contains(&(frame.frame, frame.capture)) {
+                return event(EventKind::Duplicate, format!("frame {} came twice", frame.frame));
+            }
             // Otherwise a camera that was slow for a while would count as slow for good.
             seen.reach(frame.capture);
-            seen.late += u64::from(seen.last_used < Some(frame.frame));
             return Some(late);
         }
         let newest = self.newest().map(|newest| now.map_or(newest, |now| now.max(newest)));
@@ -242,6 +269,10 @@ impl Intake {
             return event(EventKind::Duplicate, format!("frame {} came twice", frame.frame));
         }
         self.rate.note(frame.camera, frame.frame, frame.capture);
+        seen.recent.push_back((frame.frame, frame.capture));
+        if seen.recent.len() > RECENT {
+            seen.recent.pop_front();
+        }
         let behind = seen.reach(frame.capture);
         let found = behind.and_then(|by| event(EventKind::OutOfOrder, format!("{by} behind")));
         self.frames.insert(key, Arc::new(frame));
@@ -253,18 +284,23 @@ impl Intake {
         found
     }
 
-    /// The format in use after a frame of `camera` in `format`: the first one, until more cameras
-    /// send another.
-    fn vote(&mut self, camera: usize, format: KeypointFormat) -> KeypointFormat {
-        self.cameras[camera].format = Some(format);
+    /// Notes that a camera sends a format. The first one is in use until more cameras send another. Then the frames of
+    /// the old one in the buffer cannot be used: returns an event for each.
+    fn vote(&mut self, camera: usize, format: KeypointFormat) -> Vec<Event> {
+        let Some(seen) = self.cameras.get_mut(camera) else { return Vec::new() };
+        seen.format = Some(format);
         let votes = |format| self.cameras.iter().filter(|c| c.format == Some(format)).count();
         let in_use = self.format.unwrap_or(format);
         let new = if votes(format) > votes(in_use) { format } else { in_use };
-        if new != in_use {
-            self.frames.retain(|_, frame| frame.format == new);
-        }
         self.format = Some(new);
-        new
+        if new == in_use {
+            return Vec::new();
+        }
+        let (kept, dropped): (Frames, Frames) =
+            std::mem::take(&mut self.frames).into_iter().partition(|(_, of)| of.format == new);
+        self.frames = kept;
+        dropped.keys().for_each(|(_, camera, number)| self.came_unused(*camera, *number));
+        dropped.values().map(|frame| of_another_format(frame, new)).collect()
     }
 
     /// Number of cameras.
@@ -355,6 +391,23 @@ impl Intake {
         self.cameras.get(camera)?.watermark
     }
 
+    /// Events of the frames that wait, if all begins anew without them.
+    pub(in crate::core) fn abandoned(&self) -> impl Iterator<Item = Event> {
+        let waiting = |camera: usize| {
+            let held = u64::from(self.held[camera].is_some());
+            held + self.frames.keys().filter(|(_, own, _)| *own == camera).count() as u64
+        };
+        let counts = (0..self.cameras.len()).map(move |camera| (camera, waiting(camera)));
+        counts.filter(|(_, count)| *count > 0).map(|(camera, count)| Event {
+            capture: self.newest().unwrap_or_default(),
+            kind: EventKind::Late,
+            camera: Some(camera),
+            window: None,
+            count,
+            detail: "waited for their window when all began anew".to_owned(),
+        })
+    }
+
     /// Number of frames of that camera that were used in windows.
     pub(in crate::core) fn used(&self, camera: usize) -> u64 {
         self.cameras.get(camera).map_or(0, |seen| seen.used)
@@ -402,18 +455,25 @@ impl Intake {
     fn count_used(&mut self, used: &Frames, end: Timestamp) -> Vec<Event> {
         let mut missing = Vec::new();
         for (camera, seen) in self.cameras.iter_mut().enumerate() {
-            let mut numbers: Vec<u64> = used
+            // In order of capture.
+            let numbers: Vec<u64> = used
                 .keys()
                 .filter(|(_, c, _)| *c == camera)
                 .map(|(_, _, number)| *number)
                 .collect();
-            numbers.sort_unstable();
             seen.used += numbers.len() as u64;
             let Some((&first, &last)) = numbers.first().zip(numbers.last()) else { continue };
-            let from = seen.last_used.map_or(first, |last| last.saturating_add(1)).min(first);
-            let came = numbers.len() as u64 + std::mem::take(&mut seen.late);
-            let count = (last - from).saturating_add(1).saturating_sub(came);
+            let from = seen.last_used.map_or(first, |last| last.saturating_add(1));
             seen.last_used = Some(last);
+            // A counter that goes back has begun anew, or somebody else uses the camera's name.
+            if from > first || !numbers.is_sorted() {
+                seen.unused.clear();
+                continue;
+            }
+            let later = seen.unused.split_off(&last.saturating_add(1));
+            let unused = std::mem::replace(&mut seen.unused, later);
+            let came = numbers.len() as u64 + unused.range(from..).count() as u64;
+            let count = (last - from).saturating_add(1).saturating_sub(came);
             if (1..=MAX_MISSING).contains(&count) {
                 missing.push(Event {
                     capture: end,
@@ -429,8 +489,96 @@ impl Intake {
     }
 }
 
+/// The event of a frame that is not in the format in use.
+fn of_another_format(frame: &Detections, in_use: KeypointFormat) -> Event {
+    let detail = format!("{} in a stream of {}", frame.format.name(), in_use.name());
+    of_frame(frame, EventKind::Unusable, detail)
+}
+
 /// An event of a frame.
 fn of_frame(frame: &Detections, kind: EventKind, detail: String) -> Event {
     let (capture, camera) = (frame.capture, Some(frame.camera));
     Event { capture, kind, camera, window: None, count: 1, detail }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames of one camera, each with its number and the milliseconds of its capture.
+    fn received(intake: &mut Intake, frames: &[(u64, i64)]) -> Vec<(EventKind, u64)> {
+        let mut events = Vec::new();
+        for &(frame, ms) in frames {
+            let (capture, people) = (Timestamp::from_ns(ms * 1_000_000), Vec::new());
+            let format = KeypointFormat::Body25;
+            let frame = Detections { camera: 0, frame, capture, format, people };
+            events.extend(intake.receive(frame, None, None));
+            events.extend(intake.pop_set(Nanos::from_ms(1)).1);
+        }
+        events.into_iter().map(|event| (event.kind, event.count)).collect()
+    }
+
+    #[test]
+    fn a_frame_that_comes_again_after_its_set_is_a_duplicate() {
+        let mut intake = Intake::new(1, 3);
+        let frames = [(0, 0), (1, 20), (1, 20), (2, 40), (1, 20), (5, 100), (4, 80)];
+        let expected =
+            [EventKind::Duplicate, EventKind::Duplicate, EventKind::Missing, EventKind::Late];
+        let found = received(&mut intake, &frames);
+        assert_eq!(found.iter().map(|(kind, _)| *kind).collect::<Vec<_>>(), expected);
+        assert_eq!(found[2].1, 2);
+    }
+
+    #[test]
+    fn refused_frames_are_not_missing_although_others_wait() {
+        let mut intake = Intake::new(1, 3);
+        let mut missing = |until: i64, frames: std::ops::Range<u64>| {
+            for number in frames.filter(|number| *number != 8) {
+                let format =
+                    if number == 12 { KeypointFormat::Coco17 } else { KeypointFormat::Body25 };
+                let capture = Timestamp::from_ns(20_000_000 * number as i64);
+                let frame =
+                    Detections { camera: 0, frame: number, capture, format, people: Vec::new() };
+                // A camera's format is that of most cameras.
+                intake.format = Some(KeypointFormat::Body25);
+                if intake.add(frame, None).is_some() {
+                    intake.came_unused(0, number);
+                }
+            }
+            let events = intake.close(Timestamp::from_ns(20_000_000 * until));
+            events.iter().map(|event| event.count).sum::<u64>()
+        };
+        assert_eq!(missing(5, 0..14), 0);
+        assert_eq!(missing(10, 14..17), 1, "frame 8");
+        assert_eq!(missing(15, 17..20), 0, "frame 12 was refused");
+    }
+
+    #[test]
+    fn a_counter_that_begins_anew_or_never_counts_misses_nothing() {
+        let mut intake = Intake::new(1, 3);
+        assert_eq!(received(&mut intake, &[(500, 0), (501, 20), (0, 40), (1, 60), (2, 80)]), []);
+        assert_eq!(received(&mut intake, &[(4, 120)]), [(EventKind::Missing, 1)]);
+        let mut intake = Intake::new(1, 3);
+        assert_eq!(received(&mut intake, &[(0, 0), (0, 20), (0, 40)]), []);
+    }
+
+    #[test]
+    fn all_frames_of_an_abandoned_format_are_counted() {
+        let (mut intake, period) = (Intake::new(4, 3), Nanos::from_ms(20));
+        let mut refused = 0;
+        for (number, format) in
+            [KeypointFormat::Coco17; 3].into_iter().chain([KeypointFormat::Body25; 3]).enumerate()
+        {
+            for camera in 0..4 {
+                let capture = Timestamp::from_ns(0) + period * number as i64;
+                let people = Vec::new();
+                let frame = Detections { camera, frame: number as u64, capture, format, people };
+                let events = intake.receive(frame, None, None);
+                refused += events.iter().filter(|e| e.kind == EventKind::Unusable).count();
+            }
+        }
+        assert_eq!(intake.format(), Some(KeypointFormat::Body25));
+        assert_eq!(refused + intake.frames.len(), 24);
+        assert_eq!(refused, 12 + 2, "the old format, and the new one before its majority");
+    }
 }

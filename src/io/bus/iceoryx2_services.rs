@@ -32,7 +32,8 @@ pub(super) struct Limits {
 pub(super) fn limits(class: usize) -> Limits {
     let history = CLASSES[class];
     let buffer = 2 * history + 64;
-    Limits { history, buffer, publishers: 64, subscribers: 32, borrowed: 2, nodes: 64 }
+    // Each performer has topics of its own, and a node keeps those of everybody it has ever seen.
+    Limits { history, buffer, publishers: 1024, subscribers: 32, borrowed: 2, nodes: 64 }
 }
 
 impl Limits {
@@ -98,13 +99,13 @@ pub(super) fn service_name(name: &str) -> Result<ServiceName, BusError> {
 
 pub(super) fn events(node: &Node<Shm>) -> Result<event::PortFactory<Shm>, BusError> {
     let name = service_name("mocap/events/1")?;
-    let Limits { publishers, nodes, .. } = limits(0);
+    let Limits { nodes, .. } = limits(0);
     persist("cannot open the events in shared memory", || {
         node.service_builder(&name)
             .event()
             .event_id_max_value(JOINED)
-            .max_listeners(publishers)
-            .max_notifiers(publishers)
+            .max_listeners(nodes)
+            .max_notifiers(nodes)
             .max_nodes(nodes)
             .open_or_create()
     })

@@ -31,6 +31,7 @@ pub use info::{CameraInfo, Info, TopicInfo, scan, summarise, summary};
 pub use message::{Entry, Message, RawEntry};
 pub use reader::Reader;
 pub use span::Spans;
+pub use target::part_of;
 pub use writer::{Companion, Foreign, Provenance, Writer};
 
 /// Name of our metadata record.

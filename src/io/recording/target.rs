@@ -46,7 +46,7 @@ impl Target {
 }
 
 /// Path of a live recording until it is finished.
-pub(super) fn part_of(path: &Path) -> PathBuf {
+pub fn part_of(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".part");
     name.into()

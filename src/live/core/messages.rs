@@ -48,8 +48,7 @@ impl Core {
             Ok(Topic::Stage { channel: StageChannel::Keypoints { camera }, .. })
                 if !self.is_solver() =>
             {
-                let camera: String = camera.chars().take(MOST_NAME).collect();
-                self.keypoints(&camera, payload);
+                self.keypoints(camera, payload);
             }
             Ok(Topic::Actor { .. }) if payload.len() > MOST_BYTES => {
                 self.too_large(None, payload, MOST_BYTES);
@@ -71,7 +70,10 @@ impl Core {
         self.event(EventKind::Unusable, camera, detail);
     }
 
-    fn keypoints(&mut self, camera: &str, payload: &[u8]) {
+    fn keypoints(&mut self, topic: &str, payload: &[u8]) {
+        let is_known = self.cameras.iter().any(|camera| camera.name() == topic);
+        let shown: String = topic.chars().take(MOST_NAME).collect();
+        let camera = if is_known { topic } else { &shown };
         if payload.len() > MOST_BYTES {
             return self.too_large(Some(camera), payload, MOST_BYTES);
         }

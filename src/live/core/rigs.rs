@@ -37,6 +37,11 @@ impl Core {
         }
     }
 
+    /// Whether a rig on the bus is not that of the node's file: solvers and recordings use the last one.
+    pub(crate) fn is_other_rig(&self, rig: &[u8]) -> bool {
+        self.has_rig_file() && !self.is_solver() && self.rig().is_some_and(|own| own != rig)
+    }
+
     /// Whether a file gives the rig.
     fn has_rig_file(&self) -> bool {
         !self.settings.node.rig.is_empty()

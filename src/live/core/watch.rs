@@ -45,10 +45,30 @@ impl Core {
         if ms.is_nan() || ms.abs() > MOST_CORRECTION_MS {
             return Err(format!("{ms} ms is too much; at most {MOST_CORRECTION_MS} ms"));
         }
+        if ms == 0.0 {
+            self.raise_others(camera);
+        }
         self.set_correction(camera, Nanos::rounded(ms * 1e6));
         let detail = format!("{ms:+.1} ms are added to its capture times from now on");
         self.event(EventKind::TimeOffset, Some(name), detail.clone());
         Ok(format!("{name}: {detail}"))
+    }
+
+    /// A correction is undone. If those of all other cameras are below zero, they were lowered together when it was made:
+    /// they are raised until the largest is zero.
+    fn raise_others(&mut self, but: usize) {
+        let others: Vec<usize> = (0..self.cameras.len()).filter(|&camera| camera != but).collect();
+        let most = others.iter().map(|&camera| self.time_correction(camera)).max();
+        let Some(by) = most.filter(|most| *most < Nanos::ZERO) else { return };
+        for camera in others {
+            self.set_correction(camera, self.time_correction(camera) - by);
+        }
+        if -by > FAR {
+            self.give(stage::Input::ClockJumped(-by));
+        }
+        let detail =
+            format!("the corrections of the other cameras are raised by {:.1} ms", -by.ms());
+        self.event(EventKind::TimeOffset, None, detail);
     }
 
     /// If a correction makes the frames of a camera come before their capture time, the other cameras are late: all

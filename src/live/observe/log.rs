@@ -166,8 +166,9 @@ impl EventLog {
     /// Logs what goes on, and a summary of the withheld lines at the end of their second.
     pub fn end_seconds(&mut self, now: Timestamp) {
         for (kind, camera, count) in self.limiter.withheld(now) {
-            let text = format!("and {count} more {} in the last second", spoken(&kind));
-            line(&kind, None, camera.as_deref(), None, &text);
+            let of = camera.map_or(String::new(), |name| format!(" of {name}"));
+            let text = format!("and {count} more {}{of} in the last second", spoken(&kind));
+            line(&kind, None, None, None, &text);
         }
         if let Some(text) = self.going(now) {
             tracing::warn!("{text}");

@@ -42,7 +42,7 @@ impl Comparison {
     /// Checks that every recorded message is replayed, in order. The recording may have lost
     /// messages, and may continue after the end of its journal. If the replay `is_cut`, messages
     /// that were captured after its last one are not checked.
-    fn of(recorded: &[&Recorded], replayed: &[&Recorded], is_cut: bool) -> Self {
+    fn of(recorded: &[&Recorded], replayed: &[&Recorded], end: Timestamp, is_cut: bool) -> Self {
         let (mut rest, mut equal) = (replayed, 0);
         let mut differs_at = None;
         for (place, message) in recorded.iter().enumerate() {
@@ -53,7 +53,7 @@ impl Comparison {
                     equal += 1;
                 }
                 None if is_cut && is_after => break,
-                None if rest.is_empty() && !replayed.is_empty() => break,
+                None if rest.is_empty() && (!replayed.is_empty() || message.time > end) => break,
                 None => {
                     differs_at = Some(place);
                     break;
@@ -74,9 +74,10 @@ impl Comparison {
     }
 }
 
-/// A run, and when it began.
+/// A run, when it began, and when its journal ends.
 pub(crate) struct At {
     pub(crate) begin: Timestamp,
+    pub(crate) end: Timestamp,
     pub(crate) run: u64,
 }
 
@@ -89,7 +90,10 @@ impl At {
         match run_of(message) {
             Some(0) if is_status(message) || is_of_no_run(message) => false,
             Some(0) if are_named && *message.schema == *Event::FULL_NAME => false,
-            None | Some(0) => message.time >= self.begin,
+            Some(0) if *message.schema == *Journal::FULL_NAME => false,
+            // Somebody else published it.
+            None => false,
+            Some(0) => message.time >= self.begin,
             Some(run) => run == self.run,
         }
     }
@@ -158,7 +162,8 @@ pub(crate) fn compare(
     for message in recorded.iter().filter(is_ours).filter(|one| at.holds(one, are_named)) {
         by_topic.entry(&message.topic).or_default()[0].push(message);
     }
-    let compare =
-        |[recorded, replayed]: [Vec<&Recorded>; 2]| Comparison::of(&recorded, &replayed, is_cut);
+    let compare = |[recorded, replayed]: [Vec<&Recorded>; 2]| {
+        Comparison::of(&recorded, &replayed, at.end, is_cut)
+    };
     by_topic.into_iter().map(|(topic, sides)| (topic.to_owned(), compare(sides))).collect()
 }

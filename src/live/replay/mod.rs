@@ -168,7 +168,9 @@ fn journal(
     let topic = topics.journal();
     let mut runs: BTreeMap<u64, BTreeMap<u64, Journal>> = BTreeMap::new();
     for message in messages.iter().filter(|message| *message.topic == *topic) {
-        let part = decode::<Journal>(&message.payload)?;
+        // Others may publish anything there.
+        let part = decode::<Journal>(&message.payload).ok();
+        let Some(part) = part.filter(|part| !part.entries.is_empty()) else { continue };
         runs.entry(part.run_id).or_default().entry(part.sequence).or_insert(part);
     }
     let first = runs.values().filter_map(|parts| parts.keys().next()).min().copied();
@@ -285,8 +287,8 @@ pub fn replay<E: From<ReplayError>>(
     let gap = gap.or_else(|| missing.map(|number| format!("part {number} of the journal")));
     let gap = gap.map(|what| Gap { what, after: last - begin });
     let outputs = run.outputs;
-    let topics =
-        compare(messages, &outputs, topics, &At { begin, run: start.run_id }, gap.is_some());
+    let at = At { begin, end: last, run: start.run_id };
+    let topics = compare(messages, &outputs, topics, &at, gap.is_some());
     Ok(Replayed { start, inputs, topics, outputs, is_whole, gap })
 }
 

@@ -10,9 +10,9 @@ use super::outlet::Outlet;
 use super::playout::Playout;
 use super::queue::{Intake, Message};
 use super::solvers::{Answer, Solvers};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{Guard, Sample};
-use crate::io::wire::{Rig, Schema, Skeleton, Topic, media_type};
+use crate::io::wire::{Rig, Schema, Skeleton, Topic, decode, media_type};
 use crate::live::clock::wall::WallClock;
 use crate::live::core::Core;
 use crate::live::core::port::{Input, Output};
@@ -23,6 +23,9 @@ use crate::live::observe::log::EventLog;
 
 /// Longest sleep when the core asks for no tick.
 const IDLE: Duration = Duration::from_secs(1);
+/// Least time between two publications of the node's rig that answer those of others. It doubles while others answer.
+const ANSWERED: Nanos = Nanos::SECOND;
+const MOST_ANSWERED: Nanos = Nanos::from_ms(60_000);
 
 /// The announcement of a solver.
 pub(crate) type Token = Arc<Mutex<Option<Box<dyn Guard>>>>;
@@ -63,6 +66,9 @@ pub(crate) struct NodeLoop {
 pub(crate) struct Progress {
     events: EventLog,
     wake: Option<Timestamp>,
+    /// When the node's rig is published because others have sent theirs; and the last time, with the wait after it.
+    rig_due: Option<Timestamp>,
+    rig_answered: Option<(Timestamp, Nanos)>,
     jobs_out: usize,
     ended: bool,
 }
@@ -101,6 +107,7 @@ impl NodeLoop {
                 Turn::Nothing => self.progress.events.end_seconds(self.clock.now()),
                 Turn::Stop => self.end(),
             }
+            self.answer_rig();
         }
         Ok(())
     }
@@ -169,10 +176,30 @@ impl NodeLoop {
     fn take_in(&mut self, message: Message) {
         let Message { topic, payload } = message;
         let is_rig = *topic == *self.rig_topic;
+        let is_other = is_rig && self.core.is_other_rig(&payload);
         self.feed(Input::Message { topic, payload });
         if is_rig {
             self.offer_rig();
         }
+        if is_other {
+            let next = self.progress.rig_answered.map(|(last, wait)| last + wait);
+            self.progress.rig_due = next.max(Some(self.clock.now()));
+        }
+    }
+
+    /// Publishes the rig of the node's file if it is time: somebody else has sent another.
+    fn answer_rig(&mut self) {
+        let now = self.clock.now();
+        if self.progress.rig_due.is_none_or(|due| due > now) {
+            return;
+        }
+        let waited = self.progress.rig_answered.filter(|(last, wait)| now < *last + *wait * 2);
+        let wait = waited.map_or(ANSWERED, |(_, wait)| (wait * 2).min(MOST_ANSWERED));
+        (self.progress.rig_due, self.progress.rig_answered) = (None, Some((now, wait)));
+        let Some(Ok(rig)) = self.core.rig().map(decode::<Rig>) else { return };
+        let (topic, capture) = (self.rig_topic.as_str().into(), Timestamp::default());
+        self.outlet
+            .put(&Publication { topic, capture, due: None, content: Content::Rig(rig) }, now);
     }
 
     /// Stores the current rig on the board, and gives its cameras queues of their own.

@@ -178,7 +178,7 @@ impl Runs {
 
     fn held_out_px(&self, sequence: &Sequence) -> Option<f64> {
         let error = |(camera, seen): &(_, Vec<_>)| {
-            let mut held_out = HeldOut::new(Clone::clone(camera));
+            let mut held_out = HeldOut::of_performer_alone(Clone::clone(camera));
             for (&frame, body) in self.frames.iter().zip(&self.bodies) {
                 held_out.compare(&seen[frame], body);
             }

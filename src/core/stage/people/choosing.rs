@@ -54,7 +54,8 @@ impl People {
             self.make_bystander(index, self.absent.len() - 1);
             return Some(self.at);
         }
-        let absent = self.absent.iter_mut().find(|one| one.performer == performer);
+        let is_own = |one: &&mut Absent| one.performer == performer && !one.is_unwanted;
+        let absent = self.absent.iter_mut().find(is_own);
         absent.map(Absent::make_unwanted).map(|()| self.at)
     }
 

@@ -161,6 +161,14 @@ impl<'a> Lines<'a> {
         }
     }
 
+    /// The next word of this line, if it is not that one.
+    fn word_of_line_before(&mut self, end: &str) -> Option<&'a str> {
+        let mut words = self.words.clone();
+        let word = words.next().filter(|word| *word != end)?;
+        self.words = words;
+        Some(word)
+    }
+
     /// The next whole line.
     fn line(&mut self) -> Option<&'a str> {
         let (index, line) = self.rest.next()?;
@@ -229,7 +237,11 @@ fn open_joint(
     parent: Option<usize>,
     values: &mut usize,
 ) -> Result<BvhJoint, BvhError> {
-    let name = lines.expect("a joint's name")?.to_owned();
+    let mut name = lines.expect("a joint's name")?.to_owned();
+    // Names of 3ds Max have blanks.
+    while let Some(word) = lines.word_of_line_before("{") {
+        name = format!("{name} {word}");
+    }
     lines.keyword("{", "`{`")?;
     lines.keyword("OFFSET", "`OFFSET`")?;
     let offset = lines.vector("an offset of three numbers")?;
@@ -312,6 +324,16 @@ mod tests {
             * Rotation3::from_axis_angle(&Vector3::y_axis(), 90f64.to_radians());
         assert!((rotation - expected.into_inner()).amax() < 1e-12);
         assert!(bvh.posture(2).is_none() && bvh.local(0, 2).is_none());
+    }
+
+    #[test]
+    fn names_may_have_blanks() {
+        for names in ["JOINT Bip01 L Thigh", "JOINT  Bip01 L\tThigh  "] {
+            let bvh = Bvh::parse(&TWO_JOINTS.replace("JOINT b", names)).unwrap();
+            assert_eq!(bvh.joint("Bip01 L Thigh"), Some(1));
+        }
+        let bvh = Bvh::parse(&TWO_JOINTS.replace("JOINT b\n {", "JOINT b {")).unwrap();
+        assert_eq!(bvh.joint("b"), Some(1));
     }
 
     #[test]

@@ -51,7 +51,9 @@ impl BvhWriter {
     pub fn write(&mut self, pose: &Pose) -> Result<(), ExportError> {
         let pose = self.style.pose(pose);
         let position = pose.root_position / unit(&self.style);
-        let mut line = format!("{:.4} {:.4} {:.4}", position.x, position.y, position.z);
+        let digits = if unit(&self.style) < 0.1 { 4 } else { 6 };
+        let [x, y, z] = position.into();
+        let mut line = format!("{x:.digits$} {y:.digits$} {z:.digits$}");
         let mut finite = position.iter().all(|c| c.is_finite());
         for &joint in &hierarchy_order() {
             let angles = &mut self.last[joint.index()];

@@ -6,6 +6,9 @@ use serde_json::{Map, Value};
 use super::super::pickle;
 use super::Fault;
 
+/// How a file begins that is no calibration, but may hold one.
+const RECORDING: &[u8] = mcap::MAGIC;
+
 /// A file's content and what kind it is.
 pub(super) enum Content {
     /// Fields, and the kind of file.
@@ -18,6 +21,10 @@ pub(super) enum Content {
 pub(super) fn content(bytes: &[u8], name: &str) -> Result<Content, Fault> {
     if bytes.first() == Some(&pickle::PROTOCOL) {
         return Ok(Content::Tree(pickle::value(bytes).map_err(Fault::Text)?, "pickle"));
+    }
+    if bytes.starts_with(RECORDING) {
+        let fix = "`bundlemocap rig convert FILE --out rig.toml` takes its calibration";
+        return Err(Fault::Text(format!("a recording; {fix}")));
     }
     let text = decoded(bytes).ok_or_else(|| Fault::Text("neither text nor a pickle".into()))?;
     let text = text.trim_start_matches('\u{feff}').trim_start();

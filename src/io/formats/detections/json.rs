@@ -69,8 +69,10 @@ pub(super) fn frames(file: &Value) -> Option<BTreeMap<u64, Vec<&Value>>> {
     let mut frames = BTreeMap::<u64, Vec<&Value>>::new();
     // MMPose counts from 1.
     if let Some(all) = file.get("instance_info").and_then(Value::as_array) {
+        let number = |frame: &Value| frame.get("frame_id")?.as_u64();
+        let first = u64::from(!all.iter().any(|frame| number(frame) == Some(0)));
         for frame in all {
-            let number = frame.get("frame_id")?.as_u64()?.checked_sub(1)?;
+            let number = number(frame)? - first;
             frames.entry(number).or_default().push(frame);
         }
         return Some(frames);

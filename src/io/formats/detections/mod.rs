@@ -44,7 +44,7 @@ pub struct CameraReport {
     pub people_without_points: u64,
     /// Points kept.
     pub points: u64,
-    /// Points skipped because a number was null, NaN or infinite.
+    /// Points skipped because a number was null, NaN, infinite or above 1e38.
     pub non_finite_points: u64,
     /// Confidences above 1, which are used as 1.
     pub confidences_above_1: u64,
@@ -57,7 +57,8 @@ pub struct CameraReport {
 impl CameraReport {
     /// A point. Detectors write unseen points as 0, 0 or with a confidence that is not positive.
     fn detection(&mut self, x: f64, y: f64, confidence: f64) -> Option<Detection> {
-        if !(x.is_finite() && y.is_finite() && confidence.is_finite()) {
+        // Messages have single precision.
+        if ![x, y, confidence].iter().all(|number| (*number as f32).is_finite()) {
             self.non_finite_points += 1;
             return None;
         }
@@ -200,14 +201,17 @@ impl DetectionFolder {
             .filter(|report| report.frames > 0)
             .map(|report| report.first_frame)
             .min();
-        if let Some(first) = first.filter(|first| *first > 1) {
-            notes.push(format!("the first frame is {first}; outputs count from this frame"));
-        }
         // Cameras of several rates would be shifted.
         let is_from_one =
             first == Some(1) && cameras.iter().any(|camera| camera.fps != cameras[0].fps);
-        if is_from_one {
-            notes.push("frame numbers begin at 1: frame 1 is time 0 of all cameras".into());
+        match first {
+            Some(1) if is_from_one => {
+                notes.push("frame numbers begin at 1: frame 1 is time 0 of all cameras".into());
+            }
+            Some(first) if first > 0 => {
+                notes.push(format!("the first frame is {first}; outputs count from this frame"));
+            }
+            _ => {}
         }
         let (order, others) = match (&options.mapping, options.order) {
             (Some(path), _) => (PointOrder::of_file(path, names.as_deref())?, Vec::new()),
