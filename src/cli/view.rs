@@ -10,10 +10,11 @@ use super::Ended;
 use super::bus::{BusArguments, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
-use super::terminal::{progress, say};
+use super::terminal::{complain, progress, say};
 use crate::config::Config;
 use crate::io::bus::open_client;
 use crate::io::recording::summary;
+use crate::io::wire::{KeypointFrame, Pose, Schema};
 use crate::view::{Live, Recorded, Running, Source, ViewError, start};
 
 /// Where the page is served.
@@ -78,9 +79,15 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 fn recorded(paths: &[PathBuf]) -> Result<Source, Failure> {
-    let mut messages = 0;
+    let (mut messages, mut is_empty) = (0, true);
+    let shown = [KeypointFrame::FULL_NAME, Pose::FULL_NAME];
     for path in paths {
-        messages += summary(path)?.topics.values().map(|topic| topic.count).sum::<u64>();
+        let topics = summary(path)?.topics;
+        messages += topics.values().map(|topic| topic.count).sum::<u64>();
+        is_empty &= !topics.values().any(|topic| shown.contains(&&*topic.schema));
+    }
+    if is_empty {
+        complain("warning", "no poses and no keypoints: there is nothing to see");
     }
     let bar = progress(messages, "messages");
     let recorded = Recorded::open(paths, || bar.inc(1))?;

@@ -147,6 +147,7 @@ pub fn solve_group(
         if is_body_wrong {
             summary.notes.push(BODY_IS_WRONG.to_owned());
         }
+        summary.notes.extend(rate_note(options.config.frame_rate_hz, period));
         if let Some(Outputs { folder, .. }) = &outputs {
             let csv = output::of_performer(&one.name, options.performers, "states.csv");
             output::text(&folder.file(&csv), &states)?;
@@ -178,6 +179,14 @@ fn names(options: &Options, count: usize) -> Vec<String> {
 /// A note for the user.
 const BODY_IS_WRONG: &str =
     "the given body fits worse than one from these detections; it was estimated anew";
+
+/// A note if the given frame rate, Hz (0: none), is not that of the recording.
+fn rate_note(given: f64, period: Option<FramePeriod>) -> Option<String> {
+    const OFF: f64 = 0.05;
+    let measured = 1e9 / period.filter(|_| given > 0.0)?.ns;
+    let is_off = (given / measured - 1.0).abs() > OFF;
+    is_off.then(|| format!("the cameras have {measured:.1} frames a second, not {given:.1}"))
+}
 
 fn output_folder(path: &Path, options: &Options) -> Result<OutputFolder, Error> {
     if !options.overwrite {

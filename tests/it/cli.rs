@@ -1165,6 +1165,9 @@ fn poses_carry_the_timecode_of_the_house() {
 fn keyframes_give_the_poses_of_fast_cameras_too() {
     let place = Place::new();
     place.done("synth --out fast.mcap --seconds 2 --fps 120 --noise clean");
+    let slow = place.run("solve fast.mcap --out slow --fps 60");
+    let errors = String::from_utf8_lossy(&slow.stderr);
+    assert!(errors.contains("the cameras have 120.0 frames a second, not 60.0"), "{errors}");
     place.done("solve fast.mcap --out out");
     place.done("decode out/poses.mcap --out decoded.mcap");
     let poses = |file: &str| -> Vec<(i64, Vec<f32>)> {
