@@ -554,12 +554,34 @@ mod tests {
     }
 
     #[test]
+    fn frames_that_wait_are_counted_when_all_begins_anew() {
+        let mut intake = Intake::new(2, 3);
+        // The last one is off the line of its camera, and waits for the next one.
+        for (camera, frame, ms) in [(0, 0, 0), (1, 0, 0), (0, 1, 20), (1, 1, 20), (1, 2, 4000)] {
+            let (capture, people) = (Timestamp::from_ns(ms * 1_000_000), Vec::new());
+            let format = KeypointFormat::Body25;
+            intake.receive(Detections { camera, frame, capture, format, people }, None, None);
+        }
+        intake.close(Timestamp::from_ns(0));
+        let counts: Vec<_> = intake.abandoned().map(|event| (event.camera, event.count)).collect();
+        assert_eq!(counts, [(Some(0), 1), (Some(1), 2)]);
+    }
+
+    #[test]
     fn a_counter_that_begins_anew_or_never_counts_misses_nothing() {
         let mut intake = Intake::new(1, 3);
         assert_eq!(received(&mut intake, &[(500, 0), (501, 20), (0, 40), (1, 60), (2, 80)]), []);
         assert_eq!(received(&mut intake, &[(4, 120)]), [(EventKind::Missing, 1)]);
         let mut intake = Intake::new(1, 3);
         assert_eq!(received(&mut intake, &[(0, 0), (0, 20), (0, 40)]), []);
+        // Within a window.
+        let mut intake = Intake::new(1, 3);
+        for (frame, ms) in [(500, 0), (501, 20), (0, 40), (1, 60)] {
+            let (capture, people) = (Timestamp::from_ns(ms * 1_000_000), Vec::new());
+            let format = KeypointFormat::Body25;
+            intake.receive(Detections { camera: 0, frame, capture, format, people }, None, None);
+        }
+        assert!(intake.close(Timestamp::from_ns(60_000_000)).is_empty());
     }
 
     #[test]

@@ -167,3 +167,31 @@ pub(crate) fn compare(
     };
     by_topic.into_iter().map(|(topic, sides)| (topic.to_owned(), compare(sides))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_after_the_end_of_the_journal_are_no_difference() {
+        let at = |ms: i64| Timestamp::from_ns(ms * 1_000_000);
+        let message = |ms: i64, payload: &[u8]| Recorded {
+            time: at(ms),
+            capture: at(ms),
+            topic: "mocap/stage/status".into(),
+            schema: StageStatus::FULL_NAME.into(),
+            payload: payload.to_vec(),
+        };
+        let of = |recorded: &[Recorded], replayed: &[Recorded]| {
+            let [recorded, replayed] =
+                [recorded, replayed].map(|all| all.iter().collect::<Vec<_>>());
+            Comparison::of(&recorded, &replayed, at(500), false).agrees()
+        };
+        let (early, late) = (message(400, b"a"), message(900, b"b"));
+        // A take of half a second has no status of its own.
+        assert!(of(std::slice::from_ref(&late), &[]));
+        assert!(!of(std::slice::from_ref(&early), &[]));
+        assert!(of(&[early.clone(), late], std::slice::from_ref(&early)));
+        assert!(!of(&[early], &[message(400, b"c")]));
+    }
+}
