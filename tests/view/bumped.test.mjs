@@ -30,7 +30,10 @@ test("a camera that was bumped is red, and mended by a click", async () => {
   await until(page, () => document.querySelector('#cameras [data-camera="cam04"]:not([data-level="bad"])'));
   await until(page, () => !document.querySelector("[data-mend]"));
   await picture(page, "mended");
-  const files = readdirSync(folder).filter((name) => /^rig\.\d+\.toml$/.test(name));
+  // The node writes the file after the answer.
+  const kept = () => readdirSync(folder).filter((name) => /^rig\.\d+\.toml$/.test(name));
+  for (let waited = 0; kept().length === 0 && waited < 10_000; waited += 100) await setTimeout(100);
+  const files = kept();
   assert.equal(files.length, 1, "the calibration before is kept");
   assert.notEqual(readFileSync(rig, "utf8"), readFileSync(join(folder, files[0]), "utf8"));
   assert.deepEqual(said, []);
