@@ -357,31 +357,36 @@ impl Prepared {
         let of = |name: &str| of_performer(name, performers, "");
         let new: Vec<_> = group.performers.iter().map(|one| of(&one.performer)).collect();
         remove_others(out, &earlier, &new);
-        if let Some(folder) = self.config.bodies_folder() {
-            for (name, file) in group.write_bodies(folder)? {
-                note(&format!("the body of {name} is written to {}", file.display()));
-            }
-            let found = group.performers.iter().map(|one| &one.performer);
-            let named = found.filter(|name| self.config.stage.names.contains(name));
-            let is_new = |name: &&String| !folder.join(format!("{name}.mcap")).exists();
-            for name in named.filter(|name| !group.was_seen_well(name)).filter(is_new) {
-                note(&format!("no body of {name} is written: seen too shortly, or lost too often"));
-            }
-        }
+        self.save_bodies(&group)?;
         for one in &group.performers {
             let bvh = out.join(of_performer(&one.performer, performers, "bvh"));
             let first = one.summary.first_capture_time_ns.map(Timestamp::from_ns);
             times.beside(&bvh, first)?;
             if times.house.is_none() && overwrite {
-                // That of an earlier solve.
+                // An earlier solve had a timecode.
                 let _ = std::fs::remove_file(bvh.with_extension("timecode.txt"));
             }
         }
         Ok(Solved::of(file, group, performers))
     }
+
+    /// Writes the bodies of performers with a name, and says which ones are not known well enough.
+    fn save_bodies(&self, group: &Group) -> Result<(), Failure> {
+        let Some(folder) = self.config.bodies_folder() else { return Ok(()) };
+        for (name, file) in group.write_bodies(folder)? {
+            note(&format!("the body of {name} is written to {}", file.display()));
+        }
+        let found = group.performers.iter().map(|one| &one.performer);
+        let named = found.filter(|name| self.config.stage.names.contains(name));
+        let is_new = |name: &&String| !folder.join(format!("{name}.mcap")).exists();
+        for name in named.filter(|name| !group.was_seen_well(name)).filter(is_new) {
+            note(&format!("no body of {name} is written: tracked too shortly, or lost too often"));
+        }
+        Ok(())
+    }
 }
 
-/// Warns of what could not be read of a recording; the exit code says whether that is nothing.
+/// Warns of what could not be used of a recording; the exit code says whether that is nothing.
 pub(super) fn lost(recording: &Recording) -> Exit {
     let losses = recording.losses();
     if losses.is_empty() {
@@ -412,7 +417,8 @@ fn performers_of(poses: &Path) -> Vec<String> {
 fn remove_others(out: &Path, earlier: &[String], new: &[String]) {
     let alone = Topics::default().actor;
     for name in earlier {
-        let start = if *name == alone { "poses.".to_owned() } else { format!("poses.{name}.") };
+        let performers = if *name == alone { Performers::default() } else { Performers::Auto };
+        let start = of_performer(name, performers, "");
         if new.contains(&start) {
             continue;
         }

@@ -107,8 +107,9 @@ impl Times {
     /// The capture time of a number of seconds or frames since the first frame, or of a timecode.
     fn time(&self, text: &str) -> Result<Timestamp, String> {
         if text.contains(':') {
-            let house =
-                self.house.ok_or("the recording has no timecode; give seconds, or run or solve with [timecode] in --config")?;
+            let house = self.house.ok_or(
+                "the recording has no timecode; give seconds, or solve it with [timecode] in --config",
+            )?;
             return house.capture(text, self.first).map_err(|error| error.to_string());
         }
         let (number, unit) = match text.strip_suffix('f') {

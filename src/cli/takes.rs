@@ -321,7 +321,7 @@ pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
     Ok(if takes.values().all(is_whole) { Exit::Done } else { Exit::InPart })
 }
 
-/// A row for each performer of a take. `exit`: of its solve.
+/// A row for each performer of a take. `exit`: the exit code of its solve.
 fn rows(name: &str, summary: &Value, exit: i32) -> Vec<(String, String)> {
     let part =
         if exit == Exit::Done as i32 { String::new() } else { format!("; exit code {exit}") };

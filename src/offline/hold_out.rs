@@ -59,7 +59,7 @@ impl HoldOut {
 /// come first. At most 8,192 frames wait for poses; then the oldest are dropped.
 pub struct HeldOut {
     camera: Camera,
-    /// [`GATE`], or none if nobody else can be there.
+    /// [`GATE`]; `None` if the frames show nobody but the performer.
     gate: Option<f64>,
     waiting: VecDeque<Detections>,
     /// The newest pose; `None` if it cannot be used.
@@ -76,8 +76,8 @@ impl HeldOut {
         Self { camera, gate: Some(GATE), waiting, before: None, errors, frames: 0, without: 0 }
     }
 
-    /// The same for frames that show the performer alone: they count however far off the body is, if the camera sees
-    /// it.
+    /// The camera of frames that show nobody but the performer. A body counts at any distance, if it is in front of the
+    /// camera.
     pub fn of_performer_alone(camera: Camera) -> Self {
         Self { gate: None, ..Self::new(camera) }
     }
@@ -195,7 +195,8 @@ pub fn differences(
     nearest(camera, body, detections, keypoints, Some(GATE))
 }
 
-/// The person who is nearest to the body, within that gate.
+/// The person who is nearest to the body. With a `gate`, the median distance of the limbs' points must be below this
+/// fraction of the height in the image.
 fn nearest(
     camera: &Camera,
     body: &impl Located,

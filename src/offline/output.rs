@@ -66,7 +66,7 @@ impl OutputFolder {
         there.map_or(Ok(()), |path| Err(Error::Exists { path }))
     }
 
-    /// Fails if there is a file of any performer.
+    /// Fails if the folder has files of performers, whatever their names.
     pub(crate) fn refuse_performers(path: &Path) -> Result<(), Error> {
         let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
         let mut files: Vec<PathBuf> = entries.map(|entry| entry.file_name().into()).collect();

@@ -63,8 +63,8 @@ impl Recording {
     /// Opens a recording and checks that its cameras fit its rig.
     ///
     /// # Errors
-    /// A file that cannot be read, a recording of another program, missing keypoints or rig, a
-    /// camera that is not in the rig or has images of another size.
+    /// A file that cannot be read, a recording of another program, missing keypoints or rig, fewer than two cameras
+    /// in the rig, or a camera whose first image has another size.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
         Self::open_with(path, None)
     }
@@ -72,7 +72,7 @@ impl Recording {
     /// Opens a recording with this calibration. The recording's own one may be missing or wrong.
     ///
     /// # Errors
-    /// As [`Recording::open`].
+    /// As [`Recording::open`], or a camera that is not in this calibration.
     pub fn open_with(path: impl AsRef<Path>, rig: Option<Rig>) -> Result<Self, Error> {
         let mut reader = Reader::open(path)?;
         let info = summarise(&mut reader)?;
@@ -162,8 +162,8 @@ impl Recording {
         &self.format
     }
 
-    /// Checks that the cameras with keypoints are in the rig, and that their first images have the calibrated size. If
-    /// two are in the recording's own rig, others are only left out.
+    /// Checks that the cameras with keypoints are in the rig, and that their first images have the calibrated size. Of
+    /// the recording's own rig two cameras are enough; the others are left out.
     fn check_cameras(&self) -> Result<(), Error> {
         let path = || self.path().to_owned();
         let is_own = self.own_rig.is_some();
@@ -207,7 +207,8 @@ impl Recording {
         })
     }
 
-    /// The rig of the cameras in `only` (if empty, all with keypoints) without those in `held_out`, and those.
+    /// The rig to solve with, and the cameras named in `held_out`, each once. The rig has the cameras named in `only`,
+    /// or all with keypoints if `only` is empty, without those in `held_out`.
     ///
     /// # Errors
     /// An unknown camera, one in `only` without keypoints, or fewer than two cameras.
@@ -257,7 +258,8 @@ impl Recording {
         })
     }
 
-    /// What was lost when the recording was last read, in words, and the cameras that cannot be used.
+    /// What could not be used, in words: cameras without a calibration, and what was lost when the recording was last
+    /// read.
     pub fn losses(&self) -> Vec<String> {
         let mut losses = self.reader.report().losses();
         let cameras: Vec<&str> = self.uncalibrated().map(String::as_str).collect();

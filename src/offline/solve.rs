@@ -191,7 +191,7 @@ fn rate_note(given: f64, period: Option<FramePeriod>) -> Option<String> {
 fn output_folder(path: &Path, options: &Options) -> Result<OutputFolder, Error> {
     if !options.overwrite {
         OutputFolder::refuse_existing(path, &["poses.mcap", "report.html"])?;
-        // Their names are not known yet.
+        // The names of the performers are not known yet.
         OutputFolder::refuse_performers(path)?;
     }
     OutputFolder::make(path)

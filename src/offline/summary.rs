@@ -123,7 +123,8 @@ impl Group {
         Ok(written)
     }
 
-    /// Whether a performer was tracked so long and so well that the body can be known: it is not replaced later.
+    /// Whether the body of a performer can be saved: it was tracked for two seconds or more, and at most a quarter of its
+    /// windows were lost.
     pub fn was_seen_well(&self, name: &str) -> bool {
         const LEAST_S: f64 = 2.0;
         const MOST_LOST: f64 = 0.25;

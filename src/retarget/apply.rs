@@ -81,7 +81,7 @@ impl Retarget {
         Ok(Self { target, mapping, hips, mover, world, scale: map.scale, leg, fitted: None })
     }
 
-    /// Whether the body moves: a joint has position channels.
+    /// Whether the figure can move: the hips or a joint above them has three position channels.
     pub fn moves(&self) -> bool {
         self.mover.is_some()
     }

@@ -104,7 +104,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
         }
     }
     bar.finish_and_clear();
-    warn_of_left_out(&scores);
+    warn_of_uncounted(&scores);
     if scores.is_empty() {
         let message = format!("{}: nobody was found; check the calibration", path.display());
         return Err(Failure::new(Exit::NobodyFound, message));
@@ -144,9 +144,9 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     write(&asked.output.out, &report, &results)
 }
 
-/// Warns of methods whose bodies are far from everybody in more held-out frames than those of others: such frames
-/// have no error.
-fn warn_of_left_out(scores: &[RealScore]) {
+/// Warns of methods that have no error in more held-out frames than others, because nobody is near their body.
+fn warn_of_uncounted(scores: &[RealScore]) {
+    /// Smaller differences of the shares are no matter.
     const MORE: f64 = 0.02;
     let share = |score: &RealScore| {
         let all = HoldOut::of_all(&score.hold_out)?;
@@ -156,12 +156,9 @@ fn warn_of_left_out(scores: &[RealScore]) {
     let least = scores.iter().filter_map(share).fold(1.0, f64::min);
     for score in scores {
         if let Some(share) = share(score).filter(|share| *share > least + MORE) {
-            let (method, percent) = (&score.method, 100.0 * share);
-            let text = format!(
-                "{method}: nobody is near its body in {percent:.0} % of the held-out frames; \
-                                held out px does not count them"
-            );
-            complain("warning", &text);
+            let percent = 100.0 * share;
+            let what = "of the held-out frames show nobody near its body, and do not count";
+            complain("warning", &format!("{}: {percent:.0} % {what}", score.method));
         }
     }
 }

@@ -39,12 +39,12 @@ impl Setup {
         Self::of(motions, false, RIG)
     }
 
-    /// The same for crowds, of which only the number of cameras counts.
+    /// As [`Setup::new`], for crowds: of their rig only the number of cameras counts, so it needs no file.
     pub(super) fn of_crowds(motions: &Motions) -> Result<Self, Failure> {
         Self::of(motions, false, "ring4")
     }
 
-    /// The same with the clips of all subjects that are not named.
+    /// As [`Setup::new`], with the clips of all subjects that are not named.
     pub(super) fn of_others(motions: &Motions) -> Result<Self, Failure> {
         Self::of(motions, true, RIG)
     }

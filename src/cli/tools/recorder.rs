@@ -44,7 +44,7 @@ struct Open {
     path: PathBuf,
     writer: Writer,
     recorded: Recorded,
-    /// Whether somebody removed it.
+    /// Whether somebody has removed or moved it.
     is_gone: bool,
 }
 
@@ -264,7 +264,7 @@ impl Recorder {
     /// `NAME.mcap`, or `NAME_2.mcap` and so on if that exists.
     fn free_path(&self, name: &str) -> PathBuf {
         let path = |file: String| self.folder.join(file);
-        // The file of a take that still ends may have been removed.
+        // A take that has not ended yet keeps its name, even if its file was removed.
         let is_open =
             |file: &String| self.ending.iter().any(|one| one.file.path == path(file.clone()));
         let is_there =
@@ -279,22 +279,26 @@ impl Recorder {
     pub(crate) fn tick(&mut self, now: Timestamp) -> Result<Vec<Said>, RecordError> {
         let mut said = Vec::new();
         for Ending { file, command, .. } in self.ending.extract_if(.., |take| now >= take.until) {
-            let path = file.path.clone();
+            let path = file.path.display().to_string();
             let done = match file.is_gone {
                 true => Err("somebody has removed or moved it".to_owned()),
                 false => file.finish().map_err(|error| error.to_string()),
             };
-            let done = done.map(|(_, recorded)| {
-                self.skipped += recorded.skipped;
-                format!("{}: {} messages", path.display(), recorded.messages)
-            });
             // The other takes go on.
-            self.failed += u64::from(done.is_err());
-            let done = done.map_err(|error| format!("{} is not complete: {error}", path.display()));
+            let done = match done {
+                Ok((_, recorded)) => {
+                    self.skipped += recorded.skipped;
+                    Ok(format!("{path}: {} messages", recorded.messages))
+                }
+                Err(why) => {
+                    self.failed += 1;
+                    Err(format!("{path} is not complete: {why}"))
+                }
+            };
             said.push(match (command, done) {
                 (Some(id), done) => Said::Answer(id, done),
                 (None, Ok(text)) => Said::Warning(format!("the take was not stopped: {text}")),
-                (None, Err(error)) => Said::Warning(error),
+                (None, Err(text)) => Said::Warning(text),
             });
         }
         Ok(said)

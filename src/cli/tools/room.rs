@@ -41,7 +41,7 @@ impl Room {
         let is_new = is_little && !self.is_said;
         self.is_said = is_little;
         let minutes = left / rate.max(1) / 60;
-        // While hardly anything comes, the rate tells nothing.
+        // If hardly anything comes, its rate tells nothing about a take.
         let enough = match minutes {
             0..1000 => format!(", enough for about {minutes} minutes"),
             _ => String::new(),

@@ -71,7 +71,8 @@ pub enum CameraError {
     },
     /// The time offset is larger than a hundred years.
     #[error(
-        "camera {camera}: the time offset is {ms:.3e} ms, more than a hundred years; correct time_offset_ms"
+        "camera {camera}: the time offset is {ms:.3e} ms, more than a hundred years; \
+         correct time_offset_ms"
     )]
     TimeOffset {
         /// The camera's name.

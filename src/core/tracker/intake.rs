@@ -20,7 +20,7 @@ const ALONE: Nanos = Nanos::from_ms(5000);
 /// If more frames than this seem to be missing at once, the counter has jumped.
 const MAX_MISSING: u64 = 1_000_000;
 
-/// Number of frames of a camera that are known after their window.
+/// Number of the last frames of a camera whose number is remembered: those in the buffer, and those that were not used.
 const RECENT: usize = 64;
 
 /// Number of steps of a camera's capture time of which the median counts.
@@ -284,8 +284,8 @@ impl Intake {
         found
     }
 
-    /// Notes that a camera sends a format. The first one is in use until more cameras send another. Then the frames of
-    /// the old one in the buffer cannot be used: returns an event for each.
+    /// Notes the format of a camera. The first format is in use until more cameras send another. Then the frames of the
+    /// old one leave the buffer; returns an event for each.
     fn vote(&mut self, camera: usize, format: KeypointFormat) -> Vec<Event> {
         let Some(seen) = self.cameras.get_mut(camera) else { return Vec::new() };
         seen.format = Some(format);
@@ -391,7 +391,7 @@ impl Intake {
         self.cameras.get(camera)?.watermark
     }
 
-    /// Events of the frames that wait, if all begins anew without them.
+    /// An event for each camera with frames in the buffer. For a tracker that begins anew without them.
     pub(in crate::core) fn abandoned(&self) -> impl Iterator<Item = Event> {
         let waiting = |camera: usize| {
             let held = u64::from(self.held[camera].is_some());
@@ -404,7 +404,7 @@ impl Intake {
             camera: Some(camera),
             window: None,
             count,
-            detail: "waited for their window when all began anew".to_owned(),
+            detail: "waited for a window when tracking began anew".to_owned(),
         })
     }
 
@@ -505,14 +505,16 @@ fn of_frame(frame: &Detections, kind: EventKind, detail: String) -> Event {
 mod tests {
     use super::*;
 
-    /// Frames of one camera, each with its number and the milliseconds of its capture.
+    fn frame(camera: usize, number: u64, ms: i64) -> Detections {
+        let (capture, people) = (Timestamp::from_ns(ms * 1_000_000), Vec::new());
+        Detections { camera, frame: number, capture, format: KeypointFormat::Body25, people }
+    }
+
+    /// Frames of one camera, by number and milliseconds. Each is a set.
     fn received(intake: &mut Intake, frames: &[(u64, i64)]) -> Vec<(EventKind, u64)> {
         let mut events = Vec::new();
-        for &(frame, ms) in frames {
-            let (capture, people) = (Timestamp::from_ns(ms * 1_000_000), Vec::new());
-            let format = KeypointFormat::Body25;
-            let frame = Detections { camera: 0, frame, capture, format, people };
-            events.extend(intake.receive(frame, None, None));
+        for &(number, ms) in frames {
+            events.extend(intake.receive(frame(0, number, ms), None, None));
             events.extend(intake.pop_set(Nanos::from_ms(1)).1);
         }
         events.into_iter().map(|event| (event.kind, event.count)).collect()
@@ -532,20 +534,20 @@ mod tests {
     #[test]
     fn refused_frames_are_not_missing_although_others_wait() {
         let mut intake = Intake::new(1, 3);
-        let mut missing = |until: i64, frames: std::ops::Range<u64>| {
-            for number in frames.filter(|number| *number != 8) {
-                let format =
-                    if number == 12 { KeypointFormat::Coco17 } else { KeypointFormat::Body25 };
-                let capture = Timestamp::from_ns(20_000_000 * number as i64);
-                let frame =
-                    Detections { camera: 0, frame: number, capture, format, people: Vec::new() };
+        let mut missing = |until: u64, numbers: std::ops::Range<u64>| {
+            let ms = |number: u64| 20 * number as i64;
+            for number in numbers.filter(|number| *number != 8) {
+                let mut new = frame(0, number, ms(number));
+                if number == 12 {
+                    new.format = KeypointFormat::Coco17;
+                }
                 // A camera's format is that of most cameras.
                 intake.format = Some(KeypointFormat::Body25);
-                if intake.add(frame, None).is_some() {
+                if intake.add(new, None).is_some() {
                     intake.came_unused(0, number);
                 }
             }
-            let events = intake.close(Timestamp::from_ns(20_000_000 * until));
+            let events = intake.close(frame(0, 0, ms(until)).capture);
             events.iter().map(|event| event.count).sum::<u64>()
         };
         assert_eq!(missing(5, 0..14), 0);
@@ -554,13 +556,11 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_wait_are_counted_when_all_begins_anew() {
+    fn frames_that_wait_are_counted_when_tracking_begins_anew() {
         let mut intake = Intake::new(2, 3);
         // The last one is off the line of its camera, and waits for the next one.
-        for (camera, frame, ms) in [(0, 0, 0), (1, 0, 0), (0, 1, 20), (1, 1, 20), (1, 2, 4000)] {
-            let (capture, people) = (Timestamp::from_ns(ms * 1_000_000), Vec::new());
-            let format = KeypointFormat::Body25;
-            intake.receive(Detections { camera, frame, capture, format, people }, None, None);
+        for (camera, number, ms) in [(0, 0, 0), (1, 0, 0), (0, 1, 20), (1, 1, 20), (1, 2, 4000)] {
+            intake.receive(frame(camera, number, ms), None, None);
         }
         intake.close(Timestamp::from_ns(0));
         let counts: Vec<_> = intake.abandoned().map(|event| (event.camera, event.count)).collect();
@@ -576,26 +576,23 @@ mod tests {
         assert_eq!(received(&mut intake, &[(0, 0), (0, 20), (0, 40)]), []);
         // Within a window.
         let mut intake = Intake::new(1, 3);
-        for (frame, ms) in [(500, 0), (501, 20), (0, 40), (1, 60)] {
-            let (capture, people) = (Timestamp::from_ns(ms * 1_000_000), Vec::new());
-            let format = KeypointFormat::Body25;
-            intake.receive(Detections { camera: 0, frame, capture, format, people }, None, None);
+        for (number, ms) in [(500, 0), (501, 20), (0, 40), (1, 60)] {
+            intake.receive(frame(0, number, ms), None, None);
         }
         assert!(intake.close(Timestamp::from_ns(60_000_000)).is_empty());
     }
 
     #[test]
     fn all_frames_of_an_abandoned_format_are_counted() {
-        let (mut intake, period) = (Intake::new(4, 3), Nanos::from_ms(20));
+        let mut intake = Intake::new(4, 3);
         let mut refused = 0;
-        for (number, format) in
-            [KeypointFormat::Coco17; 3].into_iter().chain([KeypointFormat::Body25; 3]).enumerate()
-        {
+        for number in 0..6 {
             for camera in 0..4 {
-                let capture = Timestamp::from_ns(0) + period * number as i64;
-                let people = Vec::new();
-                let frame = Detections { camera, frame: number as u64, capture, format, people };
-                let events = intake.receive(frame, None, None);
+                let mut new = frame(camera, number, 20 * number as i64);
+                if number < 3 {
+                    new.format = KeypointFormat::Coco17;
+                }
+                let events = intake.receive(new, None, None);
                 refused += events.iter().filter(|e| e.kind == EventKind::Unusable).count();
             }
         }

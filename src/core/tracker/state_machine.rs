@@ -570,7 +570,7 @@ impl Tracker {
         self.intake.count_on_from(&old.intake);
         self.playout.extrapolated = old.playout.extrapolated;
         self.playout.missed = old.playout.missed;
-        // What one of several performers is given is counted by the stage.
+        // The stage counts the frames of several performers.
         if self.live.is_some() && !self.is_fed {
             self.report(old.intake.abandoned().collect());
         }

@@ -45,7 +45,7 @@ impl Target {
     }
 }
 
-/// Path of a live recording until it is finished.
+/// The path of a live recording until it is finished: `take.mcap.part` for `take.mcap`.
 pub fn part_of(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".part");

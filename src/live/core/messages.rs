@@ -70,10 +70,10 @@ impl Core {
         self.event(EventKind::Unusable, camera, detail);
     }
 
-    fn keypoints(&mut self, topic: &str, payload: &[u8]) {
-        let is_known = self.cameras.iter().any(|camera| camera.name() == topic);
-        let shown: String = topic.chars().take(MOST_NAME).collect();
-        let camera = if is_known { topic } else { &shown };
+    fn keypoints(&mut self, name: &str, payload: &[u8]) {
+        let is_known = self.cameras.iter().any(|camera| camera.name() == name);
+        let shortened: String = name.chars().take(MOST_NAME).collect();
+        let camera = if is_known { name } else { &shortened };
         if payload.len() > MOST_BYTES {
             return self.too_large(Some(camera), payload, MOST_BYTES);
         }

@@ -37,7 +37,8 @@ impl Core {
         }
     }
 
-    /// Whether a rig on the bus is not that of the node's file: solvers and recordings use the last one.
+    /// Whether a rig from the bus differs from that of the node's file. Solvers and recordings use the last one on the
+    /// bus.
     pub(crate) fn is_other_rig(&self, rig: &[u8]) -> bool {
         self.has_rig_file() && !self.is_solver() && self.rig().is_some_and(|own| own != rig)
     }

@@ -46,7 +46,7 @@ impl Core {
             return Err(format!("{ms} ms is too much; at most {MOST_CORRECTION_MS} ms"));
         }
         if ms == 0.0 {
-            self.raise_others(camera);
+            self.undo_lowering(camera);
         }
         self.set_correction(camera, Nanos::rounded(ms * 1e6));
         let detail = format!("{ms:+.1} ms are added to its capture times from now on");
@@ -54,34 +54,33 @@ impl Core {
         Ok(format!("{name}: {detail}"))
     }
 
-    /// A correction is undone. If those of all other cameras are below zero, they were lowered together when it was made:
-    /// they are raised until the largest is zero.
-    fn raise_others(&mut self, but: usize) {
-        let others: Vec<usize> = (0..self.cameras.len()).filter(|&camera| camera != but).collect();
+    /// The correction of a camera is undone. If those of all others are below zero, they were lowered with it: they are
+    /// raised until the largest is zero.
+    fn undo_lowering(&mut self, undone: usize) {
+        let others: Vec<usize> = (0..self.cameras.len()).filter(|&one| one != undone).collect();
         let most = others.iter().map(|&camera| self.time_correction(camera)).max();
         let Some(by) = most.filter(|most| *most < Nanos::ZERO) else { return };
-        for camera in others {
-            self.set_correction(camera, self.time_correction(camera) - by);
-        }
-        if -by > FAR {
-            self.give(stage::Input::ClockJumped(-by));
-        }
+        self.lower_corrections(&others, by);
         let detail =
             format!("the corrections of the other cameras are raised by {:.1} ms", -by.ms());
         self.event(EventKind::TimeOffset, None, detail);
+    }
+
+    fn lower_corrections(&mut self, cameras: &[usize], by: Nanos) {
+        for &camera in cameras {
+            self.set_correction(camera, self.time_correction(camera) - by);
+        }
+        if by.abs() > FAR {
+            // Otherwise all frames would be late until the last solved frame is reached again.
+            self.give(stage::Input::ClockJumped(-by));
+        }
     }
 
     /// If a correction makes the frames of a camera come before their capture time, the other cameras are late: all
     /// corrections are lowered by as much.
     fn keep_frames_after_capture(&mut self) {
         let Some(by) = self.clock.too_early() else { return };
-        for camera in 0..self.cameras.len() {
-            self.set_correction(camera, self.time_correction(camera) - by);
-        }
-        if by > FAR {
-            // Until the last solved frame is reached again, all frames would be late.
-            self.give(stage::Input::ClockJumped(-by));
-        }
+        self.lower_corrections(&(0..self.cameras.len()).collect::<Vec<_>>(), by);
         let detail = format!(
             "all corrections are lowered by {:.1} ms: no frame comes before its capture",
             by.ms()

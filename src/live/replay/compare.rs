@@ -40,7 +40,7 @@ pub struct Comparison {
 
 impl Comparison {
     /// Checks that every recorded message is replayed, in order. The recording may have lost
-    /// messages, and may continue after the end of its journal. If the replay `is_cut`, messages
+    /// messages, and may continue after the `end` of its journal. If the replay `is_cut`, messages
     /// that were captured after its last one are not checked.
     fn of(recorded: &[&Recorded], replayed: &[&Recorded], end: Timestamp, is_cut: bool) -> Self {
         let (mut rest, mut equal) = (replayed, 0);
@@ -88,19 +88,19 @@ impl At {
     /// run; the recorder got it later, from the bus's history.
     fn holds(&self, message: &Recorded, are_named: bool) -> bool {
         match run_of(message) {
-            Some(0) if is_status(message) || is_of_no_run(message) => false,
-            Some(0) if are_named && *message.schema == *Event::FULL_NAME => false,
-            Some(0) if *message.schema == *Journal::FULL_NAME => false,
-            // Somebody else published it.
+            // No node has published it.
             None => false,
+            Some(0) if always_names_run(message) || is_of_no_run(message) => false,
+            Some(0) if are_named && *message.schema == *Event::FULL_NAME => false,
             Some(0) => message.time >= self.begin,
             Some(run) => run == self.run,
         }
     }
 }
 
-fn is_status(message: &Recorded) -> bool {
-    [Status::FULL_NAME, StageStatus::FULL_NAME].contains(&&*message.schema)
+/// Whether a node always writes its run into such messages.
+fn always_names_run(message: &Recorded) -> bool {
+    [Status::FULL_NAME, StageStatus::FULL_NAME, Journal::FULL_NAME].contains(&&*message.schema)
 }
 
 /// Whether it is an event that is no output of a node's core.

@@ -23,9 +23,10 @@ use crate::live::observe::log::EventLog;
 
 /// Longest sleep when the core asks for no tick.
 const IDLE: Duration = Duration::from_secs(1);
-/// Least time between two publications of the node's rig that answer those of others. It doubles while others answer.
-const ANSWERED: Nanos = Nanos::SECOND;
-const MOST_ANSWERED: Nanos = Nanos::from_ms(60_000);
+/// After the node has published its rig in answer to another one, it waits so long before it does so again. The wait
+/// doubles while others go on.
+const RIG_WAIT: Nanos = Nanos::SECOND;
+const MOST_RIG_WAIT: Nanos = Nanos::from_ms(60_000);
 
 /// The announcement of a solver.
 pub(crate) type Token = Arc<Mutex<Option<Box<dyn Guard>>>>;
@@ -66,8 +67,9 @@ pub(crate) struct NodeLoop {
 pub(crate) struct Progress {
     events: EventLog,
     wake: Option<Timestamp>,
-    /// When the node's rig is published because others have sent theirs; and the last time, with the wait after it.
+    /// When the node's rig is to be published because somebody else has published another.
     rig_due: Option<Timestamp>,
+    /// When that was done last, and the wait after it.
     rig_answered: Option<(Timestamp, Nanos)>,
     jobs_out: usize,
     ended: bool,
@@ -187,14 +189,14 @@ impl NodeLoop {
         }
     }
 
-    /// Publishes the rig of the node's file if it is time: somebody else has sent another.
+    /// Publishes the rig of the node's file if that is due.
     fn answer_rig(&mut self) {
         let now = self.clock.now();
         if self.progress.rig_due.is_none_or(|due| due > now) {
             return;
         }
         let waited = self.progress.rig_answered.filter(|(last, wait)| now < *last + *wait * 2);
-        let wait = waited.map_or(ANSWERED, |(_, wait)| (wait * 2).min(MOST_ANSWERED));
+        let wait = waited.map_or(RIG_WAIT, |(_, wait)| (wait * 2).min(MOST_RIG_WAIT));
         (self.progress.rig_due, self.progress.rig_answered) = (None, Some((now, wait)));
         let Some(Ok(rig)) = self.core.rig().map(decode::<Rig>) else { return };
         let (topic, capture) = (self.rig_topic.as_str().into(), Timestamp::default());

@@ -6,7 +6,7 @@ use serde_json::{Map, Value};
 use super::super::pickle;
 use super::Fault;
 
-/// How a file begins that is no calibration, but may hold one.
+/// The first bytes of a recording.
 const RECORDING: &[u8] = mcap::MAGIC;
 
 /// A file's content and what kind it is.
