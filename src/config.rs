@@ -191,6 +191,9 @@ impl Config {
                 "[node] solver solves the performers of another node: [stage] solve = false, names, bodies, only, region, \
                  min_height_px and left_after_s are for that one"
             }
+            true if node.solver && !node.rig.is_empty() => {
+                "[node] solver has the calibration of the front; leave out [node] rig, and give it to that node"
+            }
             true if node.solver && node.latency_ms == 0.0 => {
                 "[node] solver needs the same latency on all nodes, since performers change the node; set [node] latency_ms, \
                  such as 300"

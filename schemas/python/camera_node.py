@@ -62,7 +62,11 @@ def recorded(path):
     import bundlemocap
 
     rig, frames = None, []
-    for topic, _, kind, payload in bundlemocap.read_messages(path):
+    try:
+        messages = bundlemocap.read_messages(path)
+    except bundlemocap.Error as error:
+        raise SystemExit(str(error)) from None
+    for topic, _, kind, payload in messages:
         if "truth" in topic:
             continue
         if kind == "bundlemocap.v1.Rig":
@@ -91,7 +95,7 @@ def play(session, path, names, stage, seconds):
             cameras[frame.camera] = CameraNode(session, frame.camera, size, frame.format, stage)
         time.sleep(max(0, start + offset - time.time_ns()) * 1e-9)
         people = [triples(person.points) for person in frame.people]
-        cameras[frame.camera].publish(people, start + offset)
+        cameras[frame.camera].publish(people, start + offset, frame.frame)
 
 
 def main():
@@ -107,4 +111,7 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        pass

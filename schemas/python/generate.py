@@ -5,6 +5,7 @@
     python generate.py [FOLDER]
 """
 
+import argparse
 import pathlib
 import sys
 
@@ -14,7 +15,9 @@ HERE = pathlib.Path(__file__).resolve().parent
 
 
 def main() -> int:
-    folder = pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "generated"
+    parser = argparse.ArgumentParser(description="Compiles the messages of the bus to Python.")
+    parser.add_argument("folder", nargs="?", type=pathlib.Path, default=HERE / "generated")
+    folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     schemas = HERE.parent
     files = sorted(str(path) for path in schemas.glob("*.proto"))

@@ -5,6 +5,7 @@ attachment is the capture time in nanoseconds: 8 bytes, little endian.
 """
 
 import contextlib
+import json
 import os
 import pathlib
 import platform
@@ -23,7 +24,10 @@ def open_session(connect="tcp/127.0.0.1:7447"):
     """A session as client of the node at this address."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", f'["{connect}"]')
+    try:
+        config.insert_json5("connect/endpoints", json.dumps([connect]))
+    except zenoh.ZError as error:
+        raise SystemExit(f"{connect!r} is no address, such as tcp/127.0.0.1:7447 ({error})") from None
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("timestamping/enabled", "false")
     # Wait up to 20 ms for a full queue before a message is dropped.
@@ -32,7 +36,7 @@ def open_session(connect="tcp/127.0.0.1:7447"):
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise SystemExit(f"no node is at {connect}: start one with `bundlemocap run`, or give its address ({error})")
+        raise SystemExit(f"no node is at {connect}: start one with `bundlemocap run`, or give its address ({error})") from None
 
 
 class Stream:

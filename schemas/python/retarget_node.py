@@ -19,6 +19,9 @@ import mocap
 from pose_pb2 import Pose, TrackingState
 from skeleton_pb2 import Skeleton
 
+# Seconds without a message before that is said.
+PATIENCE = 5
+
 
 def rotations(skeleton, pose):
     """Quaternion x, y, z, w of each joint by name: world_from_root, else parent_from_joint."""
@@ -38,9 +41,15 @@ def receive(session, handle, stage="stage", actor="actor", poses=None):
         mocap.subscribe_state(session, f"{topics}/skeleton", Skeleton, inbox.put),
         mocap.subscribe_stream(session, f"{topics}/pose", Pose, inbox.put),
     ]
-    skeleton = None
+    skeleton, patience = None, PATIENCE
     while poses is None or poses > 0:
-        message = inbox.get()
+        try:
+            message = inbox.get(timeout=patience)
+        except queue.Empty:
+            patience = None
+            print(f"no messages on {topics}/skeleton and pose yet; check --stage and --actor", file=sys.stderr)
+            continue
+        patience = None
         if isinstance(message, Skeleton):
             skeleton = message
         elif skeleton is not None:
@@ -88,5 +97,5 @@ def main():
 if __name__ == "__main__":
     try:
         main()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, BrokenPipeError):
         pass

@@ -103,7 +103,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(bus) = open(&config, &mut findings)
         && arguments.seconds > 0
     {
-        nodes(&*bus, &mut findings)?;
+        if let Err(error) = nodes(&*bus, &mut findings) {
+            findings.wrong("node", error.to_string());
+        }
         let ticker = ticker();
         ticker.set_message(format!("listening to the cameras for {} s", arguments.seconds));
         let time = Duration::from_secs(arguments.seconds);
@@ -166,6 +168,8 @@ fn cores(config: &Config, findings: &mut Findings) {
 /// The calibration of the settings.
 fn rig(config: &Config, findings: &mut Findings) -> Option<Rig> {
     let path = match config.node.rig.as_str() {
+        // The front gives it.
+        "" if config.node.solver => return None,
         "" => {
             findings.doubtful(
                 "calibration",
@@ -236,6 +240,9 @@ fn disk(what: &str, folder: &Path, enough: u64, findings: &mut Findings) {
     let Some(room) = room(folder) else {
         return findings.wrong(what, format!("{} cannot be read", folder.display()));
     };
+    if let Err(error) = tempfile::tempfile_in(folder) {
+        return findings.wrong(what, format!("{} cannot be written: {error}", folder.display()));
+    }
     let text = format!("{:.1} GB free in {}", room as f64 / 1e9, folder.display());
     findings.good_if(room >= enough, what, text);
 }

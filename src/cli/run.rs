@@ -17,8 +17,9 @@ use super::settings::changed;
 use super::solve::decoder;
 use super::stage::StageArguments;
 use crate::config::Config;
+use crate::core::manifold::Decoder;
 use crate::core::tracker::Solver;
-use crate::io::bus::{self, Kind, ZenohMode};
+use crate::io::bus::{self, BusError, Kind, ZenohMode};
 use crate::io::recording::last_body;
 use crate::io::wire::{self, StageStatus, Status, decode, encode};
 use crate::live::{
@@ -27,6 +28,8 @@ use crate::live::{
 
 /// How often a standby node looks whether it is alone.
 const LOOK: Duration = Duration::from_millis(200);
+/// How often in a row there must be no other node before a standby takes over.
+const LOOKS: u32 = 2;
 /// How often a running node looks for an older one, which another network may bring.
 const ELDERS: Duration = Duration::from_secs(2);
 
@@ -145,50 +148,88 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
-    let now = WallClock::start().now();
-    let presence = Presence::announce(Arc::clone(&bus), topics(&config), now)?;
-    let heard = Arc::<Mutex<Option<StageStatus>>>::default();
-    let listening = arguments.standby.then(|| listen(&*bus, &config, &heard)).transpose()?;
-    let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
-    drop(listening);
-    let mut settings = Settings { body, ..config.core_settings(&decoder)? };
-    let before = heard.lock().unwrap_or_else(PoisonError::into_inner).take();
-    settings.carried.performers = match before.as_ref().map_or_else(Vec::new, people_of) {
-        people if people.is_empty() => config.known_people()?,
-        people => people,
-    };
-    let core = Core::new(settings);
-    // Several performers share as many solvers as there are processors.
-    let processors = std::thread::available_parallelism().map_or(1, usize::from);
-    let count = if is_one { 1 } else { processors.min(MOST_SOLVERS) };
-    let solver = || Solver::new(decoder.clone(), config.tracker);
-    let solvers = std::iter::repeat_with(solver).take(count).collect();
-    let running =
-        Node::start(Arc::clone(&bus), presence, core, solvers, &config.node, solver_core)?;
-    say_hello(&config, running.prometheus());
-    let (node, over) = (running.monitor(), AtomicBool::new(false));
-    let why = std::thread::scope(|scope| {
-        let look_after_cameras = || {
-            let is_over = || over.load(Ordering::Relaxed);
-            if let Err(error) =
-                look(&*bus, &topics(&config), &node, config.node.time_offsets, is_over)
-            {
-                tracing::warn!("cannot look after the cameras: {error}");
-            }
-        };
-        // A solver does not get their keypoints.
-        if !config.node.solver {
-            scope.spawn(look_after_cameras);
+    let until = None;
+    let mut ready =
+        Ready { arguments, config, decoder, body, stop, seconds, until, bus, solver_core };
+    loop {
+        match ready.run()? {
+            None => return Ok(Exit::Done),
+            // The network was cut while this node stood by.
+            Some(elder) if arguments.standby => tracing::warn!("{elder}"),
+            Some(elder) => return Err(elder.into()),
         }
-        let why = wait(&stop, &running, seconds);
-        over.store(true, Ordering::Relaxed);
-        why
-    });
-    let elder = running.elder().ok().flatten().map(|elder| running.stand_back(elder));
-    tracing::info!("stopping: {why}");
-    let status = running.stop()?;
-    say_goodbye(&config.node.actor, status.as_ref());
-    elder.map_or(Ok(Exit::Done), |error| Err(error.into()))
+    }
+}
+
+/// All that a node needs to run.
+struct Ready<'a> {
+    arguments: &'a Arguments,
+    config: Config,
+    decoder: Decoder,
+    body: Option<Vec<u8>>,
+    stop: Stop,
+    seconds: Option<Duration>,
+    /// When these are over; not set before the first run.
+    until: Option<Option<Instant>>,
+    bus: Arc<dyn bus::Bus>,
+    solver_core: Option<SolverCore>,
+}
+
+impl Ready<'_> {
+    /// Runs the node until it is stopped, or until there is an elder one: `Some`.
+    fn run(&mut self) -> Result<Option<NodeError>, Failure> {
+        let Self { arguments, config, decoder, body, stop, seconds, until, bus, solver_core } =
+            self;
+        let now = WallClock::start().now();
+        let several = config.stage.several() && !config.node.solver;
+        let presence = Presence::announce(Arc::clone(bus), topics(config), several, now)?;
+        let heard = Arc::<Mutex<Option<StageStatus>>>::default();
+        let listening = arguments.standby.then(|| listen(&**bus, config, &heard)).transpose()?;
+        let Some(presence) = alone(presence, arguments.standby, stop)? else { return Ok(None) };
+        drop(listening);
+        let mut settings = Settings { body: body.clone(), ..config.core_settings(decoder)? };
+        let before = heard.lock().unwrap_or_else(PoisonError::into_inner).take();
+        settings.carried.performers = match before.as_ref().map_or_else(Vec::new, people_of) {
+            people if people.is_empty() => config.known_people()?,
+            people => people,
+        };
+        let core = Core::new(settings);
+        let is_one = !config.stage.several();
+        // Several performers share as many solvers as there are processors.
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
+        let count = if is_one { 1 } else { processors.min(MOST_SOLVERS) };
+        let solver = || Solver::new(decoder.clone(), config.tracker);
+        let solvers = std::iter::repeat_with(solver).take(count).collect();
+        let running =
+            Node::start(Arc::clone(bus), presence, core, solvers, &config.node, *solver_core)?;
+        say_hello(config, running.prometheus());
+        let (node, over) = (running.monitor(), AtomicBool::new(false));
+        let why = std::thread::scope(|scope| {
+            let look_after_cameras = || {
+                let is_over = || over.load(Ordering::Relaxed);
+                if let Err(error) =
+                    look(&**bus, &topics(config), &node, config.node.time_offsets, is_over)
+                {
+                    tracing::warn!("cannot look after the cameras: {error}");
+                }
+            };
+            // A solver does not get their keypoints.
+            if !config.node.solver {
+                scope.spawn(look_after_cameras);
+            }
+            let until =
+                *until.get_or_insert_with(|| seconds.map(|seconds| Instant::now() + seconds));
+            let why = wait(stop, &running, until);
+            over.store(true, Ordering::Relaxed);
+            why
+        });
+        let (why, elder) = why;
+        let elder = elder.map(|elder| running.stand_back(elder));
+        tracing::info!("stopping: {why}");
+        let status = running.stop()?;
+        say_goodbye(&config.node.actor, status.as_ref());
+        Ok(elder)
+    }
 }
 
 /// Serves the page. It is a client of the bus like other programs, so that it cannot delay the node.
@@ -214,9 +255,11 @@ fn listen(
     heard: &Arc<Mutex<Option<StageStatus>>>,
 ) -> Result<Box<dyn bus::Guard>, Failure> {
     let (heard, actor) = (Arc::clone(heard), config.node.actor.clone());
+    // Of several performers there is one node on a stage, whatever it is called.
+    let several = config.stage.several();
     let sink = move |sample: bus::Sample| {
         if let Ok(status) = decode::<StageStatus>(&sample.payload)
-            && status.node == actor
+            && (several || status.node == actor)
         {
             *heard.lock().unwrap_or_else(PoisonError::into_inner) = Some(status);
         }
@@ -229,14 +272,27 @@ fn alone(presence: Presence, standby: bool, stop: &Stop) -> Result<Option<Presen
     if !standby {
         return Ok(Some(presence.alone()?));
     }
-    let mut last = None;
-    while let Some(elder) = presence.elder()? {
+    let (mut last, mut absent) = (None, 0);
+    while absent < LOOKS {
         if stop.is_set() {
             return Ok(None);
         }
-        if last.as_ref() != Some(&elder) {
-            tracing::warn!("standing by for {elder}");
-            last = Some(elder);
+        match presence.elder() {
+            Ok(None) if presence.is_connected() => absent += 1,
+            Ok(None) => absent = 0,
+            Ok(Some(elder)) => {
+                if last.as_ref() != Some(&elder) {
+                    tracing::warn!("standing by for {elder}");
+                    last = Some(elder);
+                }
+                absent = 0;
+            }
+            // The router does not answer: the other node may run.
+            Err(BusError::Closed) => return Err(BusError::Closed.into()),
+            Err(error) => {
+                tracing::debug!("cannot look for another node: {error}");
+                absent = 0;
+            }
         }
         std::thread::sleep(LOOK);
     }
@@ -287,7 +343,8 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
 fn own_name() -> String {
     let computer = rustix::system::uname().nodename().to_string_lossy().into_owned();
     let tame = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
-    let computer: String = computer.chars().map(tame).collect();
+    // A name has at most 64 characters.
+    let computer: String = computer.chars().map(tame).take(40).collect();
     format!("{computer}-{}", std::process::id())
 }
 
@@ -302,24 +359,36 @@ fn run_time(seconds: Option<f64>) -> Result<Option<Duration>, Failure> {
     }
 }
 
-/// Waits until the node should stop; returns the reason.
-fn wait(stop: &Stop, running: &Running, seconds: Option<Duration>) -> &'static str {
-    let (begin, mut looked) = (Instant::now(), Instant::now());
+/// Waits until the node should stop; returns the reason, and the elder node if that is it.
+fn wait(
+    stop: &Stop,
+    running: &Running,
+    until: Option<Instant>,
+) -> (&'static str, Option<live::Elder>) {
+    let mut looked = Instant::now();
+    let mut was_connected = true;
     loop {
         if stop.is_set() {
-            return "stopped by a signal";
+            return ("stopped by a signal", None);
         }
-        if seconds.is_some_and(|seconds| begin.elapsed() >= seconds) {
-            return "the time of --seconds is over";
+        if until.is_some_and(|until| Instant::now() >= until) {
+            return ("the time of --seconds is over", None);
         }
         if looked.elapsed() >= ELDERS {
             looked = Instant::now();
-            if running.elder().is_ok_and(|elder| elder.is_some()) {
-                return "another node publishes this performer";
+            let is_connected = running.is_connected();
+            match (was_connected, is_connected) {
+                (true, false) => tracing::warn!("the router is not reached; it is tried again"),
+                (false, true) => tracing::warn!("the router is reached again"),
+                _ => {}
+            }
+            was_connected = is_connected;
+            if let Ok(Some(elder)) = running.elder() {
+                return ("another node publishes this performer", Some(elder));
             }
         }
         if running.over().recv_timeout(ATTENTION) == Err(RecvTimeoutError::Disconnected) {
-            return "the node stopped by itself";
+            return ("the node stopped by itself", None);
         }
     }
 }

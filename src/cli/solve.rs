@@ -24,7 +24,7 @@ use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
 use crate::core::time::Timestamp;
 use crate::io::formats::{MarkerMap, Trajectories, calibration_files, read_trajectories};
-use crate::io::recording::{body_files, last_body, summary};
+use crate::io::recording::{body_file, body_files, last_body, summary};
 use crate::io::wire::{ActorChannel, Topic, Topics};
 use crate::offline::output::of_performer;
 use crate::offline::{
@@ -378,7 +378,7 @@ impl Prepared {
         }
         let found = group.performers.iter().map(|one| &one.performer);
         let named = found.filter(|name| self.config.stage.names.contains(name));
-        let is_new = |name: &&String| !folder.join(format!("{name}.mcap")).exists();
+        let is_new = |name: &&String| !body_file(folder, name).exists();
         for name in named.filter(|name| !group.was_seen_well(name)).filter(is_new) {
             note(&format!("no body of {name} is written: tracked too shortly, or lost too often"));
         }

@@ -17,8 +17,8 @@ pub enum NodeError {
     Rig(#[from] ImportError),
     /// Another node publishes this performer.
     #[error(
-        "another node publishes actor {actor:?} on stage {stage:?}: {elder}; stop it, choose another \
-         [node] actor, or wait for its end with --standby"
+        "another node publishes actor {actor:?}, or several performers, on stage {stage:?}: {elder}; stop it, choose \
+         another [node] actor or, with several performers, stage, or wait for its end with --standby"
     )]
     Occupied {
         /// Name of the capture volume.

@@ -94,9 +94,8 @@ impl Recording {
                 *count = topic.count.max(*count);
             }
         }
-        let used = info.cameras.iter().find(|(name, _)| rig.index_of(name).is_some());
-        let format = used.or(info.cameras.iter().next()).map(|(_, camera)| camera.format.clone());
-        let format = format.unwrap_or_default();
+        let used = info.cameras.iter().filter(|(name, _)| rig.index_of(name).is_some());
+        let format = Formats::of(used.map(|(name, one)| (&**name, &*one.format))).usual;
         let (is_whole, seen) = (info.report.is_clean(), info.cameras);
         let (span, wrong_times) = (None, BTreeMap::new());
         let recording = Self {
@@ -157,7 +156,7 @@ impl Recording {
         fast.unwrap_or(0)
     }
 
-    /// Name of the keypoint format.
+    /// Name of the keypoint format of most cameras. Others are left out.
     pub fn format(&self) -> &str {
         &self.format
     }
@@ -341,6 +340,7 @@ impl Recording {
         mut take: impl FnMut(Item) -> Result<(), Error>,
     ) -> Result<(), Error> {
         self.reader.rewind()?;
+        let mut formats = Formats::of(self.seen.iter().map(|(name, one)| (&**name, &*one.format)));
         let mut is_empty = true;
         self.has_other_rig = false;
         // The held-out cameras follow the others.
@@ -394,6 +394,12 @@ impl Recording {
                         self.reader.reject(&entry.topic, &what);
                         continue;
                     }
+                    let usual = formats.vote(&frame.camera, &frame.format);
+                    if frame.format != usual {
+                        let what = format!("{}, most cameras have {usual}", frame.format);
+                        self.reader.reject(&entry.topic, &what);
+                        continue;
+                    }
                     let (percent, solved) = (in_percent(&frame), rig.cameras.len());
                     let held_out = index.and_then(|index| index.checked_sub(solved));
                     let frame = frame.to_core(|_| held_out.or(index));
@@ -430,6 +436,35 @@ impl Recording {
             take(item)?;
         }
         Ok(())
+    }
+}
+
+/// The newest keypoint format of each camera.
+#[derive(Default)]
+struct Formats {
+    cameras: BTreeMap<String, String>,
+    /// That of most cameras; of as many, the one that was so before.
+    usual: String,
+}
+
+impl Formats {
+    /// Of the cameras' first frames.
+    fn of<'a>(first: impl Iterator<Item = (&'a str, &'a str)>) -> Self {
+        let mut formats = Self::default();
+        first.for_each(|(camera, format)| drop(formats.vote(camera, format)));
+        formats
+    }
+
+    /// A camera sends this format. Returns the usual one.
+    fn vote(&mut self, camera: &str, format: &str) -> String {
+        if self.cameras.get(camera).is_none_or(|before| before != format) {
+            self.cameras.insert(camera.to_owned(), format.to_owned());
+            let votes = |format: &str| self.cameras.values().filter(|one| *one == format).count();
+            if votes(format) > votes(&self.usual) {
+                format.clone_into(&mut self.usual);
+            }
+        }
+        self.usual.clone()
     }
 }
 

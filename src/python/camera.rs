@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use bundlemocap::Lens;
 use bundlemocap::io::formats::{Auto, Convention, Up, read_calibration, write_calibration};
 use bundlemocap::nalgebra::{Matrix3, Vector3};
+use bundlemocap::{Lens, Nanos};
 use pyo3::prelude::*;
 
 use crate::arrays::{Array, array};
-use crate::error;
+use crate::{error, warn_of};
 
 /// A calibrated camera.
 #[pyclass(frozen, module = "bundlemocap", from_py_object)]
@@ -24,19 +24,31 @@ fn rows<'py>(py: Python<'py>, matrix: &Matrix3<f64>) -> PyResult<Bound<'py, PyAn
     array(py, matrix.transpose().iter().copied(), [3, 3])
 }
 
+/// Width and height, pixels.
+pub(crate) fn image_size(size: [i64; 2]) -> PyResult<[u32; 2]> {
+    let pixels = |size: i64| u32::try_from(size).ok().filter(|pixels| *pixels > 0);
+    let wrong = || error(format!("size: give width and height in pixels, not {size:?}"));
+    Ok([pixels(size[0]).ok_or_else(wrong)?, pixels(size[1]).ok_or_else(wrong)?])
+}
+
 #[pymethods]
 impl Camera {
     #[new]
-    #[pyo3(signature = (name, size, matrix, rotation, translation, distortion=None, fisheye=false))]
+    #[pyo3(signature = (
+        name, size, matrix, rotation, translation, distortion=None, fisheye=false, time_offset_ns=0
+    ))]
+    #[allow(clippy::too_many_arguments)] // Keywords in Python.
     fn new(
         name: String,
-        size: [u32; 2],
+        size: [i64; 2],
         matrix: Array<f64>,
         rotation: Array<f64>,
         translation: Array<f64>,
         distortion: Option<Array<f64>>,
         fisheye: bool,
+        time_offset_ns: i64,
     ) -> PyResult<Self> {
+        let size = image_size(size)?;
         let numbers = distortion.map_or(vec![0.0; 4], |array| array.numbers);
         let of = if fisheye { Lens::fisheye } else { Lens::brown_conrady };
         let lens = of(&numbers).map_err(error)?;
@@ -44,7 +56,9 @@ impl Camera {
         let (matrix, rotation) =
             (self::matrix(matrix, "matrix")?, self::matrix(rotation, "rotation")?);
         let camera = bundlemocap::Camera::new(name, size, &matrix, lens, rotation, translation);
-        Ok(Self(camera.map_err(error)?))
+        let mut camera = camera.map_err(error)?;
+        camera.time_offset = Nanos::new(time_offset_ns);
+        Ok(Self(camera))
     }
 
     #[getter]
@@ -79,19 +93,27 @@ impl Camera {
     }
 
     #[getter]
+    fn time_offset_ns(&self) -> i64 {
+        self.0.time_offset.ns()
+    }
+
+    #[getter]
     fn is_fisheye(&self) -> bool {
         matches!(self.0.lens(), Lens::Fisheye(_))
     }
 
     /// Pixels (n x 2) of places (n x 3, metres); NaN where the camera cannot see one.
     fn project<'py>(&self, py: Python<'py>, points: Array<f64>) -> PyResult<Bound<'py, PyAny>> {
-        let count = points.shape.first().copied().unwrap_or(0);
-        let numbers = points.of_shape("points", &[count, 3])?;
+        if points.shape.len() != 2 || points.shape[1] != 3 {
+            let given = points.shape;
+            return Err(error(format!("points: give an array of n x 3 numbers, not {given:?}")));
+        }
+        let (count, numbers) = (points.shape[0], points.numbers);
         let pixels = numbers.chunks_exact(3).flat_map(|at| {
             let pixel = self.0.project(&Vector3::from_row_slice(at));
             pixel.map_or([f64::NAN; 2], Into::into)
         });
-        array(py, pixels, [count, 2])
+        array(py, pixels, [count, 2])?.call_method0("copy")
     }
 
     fn __repr__(&self) -> String {
@@ -125,12 +147,26 @@ impl Rig {
 
     /// Reads a calibration of any kind that `bundlemocap rig --help` lists.
     #[staticmethod]
-    #[pyo3(signature = (path, up="auto", unit="auto"))]
-    fn read(path: PathBuf, up: &str, unit: &str) -> PyResult<Self> {
+    #[pyo3(signature = (path, up="auto", unit="auto", poses="auto", set=None))]
+    fn read(
+        py: Python,
+        path: PathBuf,
+        up: &str,
+        unit: &str,
+        poses: &str,
+        set: Option<String>,
+    ) -> PyResult<Self> {
+        let given = [("--up", up), ("--unit", unit), ("--poses", poses)];
         let up = up.parse().map_err(|what| error(format!("up: {what}")))?;
         let unit = unit.parse().map_err(|what| error(format!("unit: {what}")))?;
-        let convention = Convention { up, unit, ..Convention::default() };
-        let calibration = read_calibration(&path, &convention).map_err(error)?;
+        let poses = poses.parse().map_err(|what| error(format!("poses: {what}")))?;
+        let convention = Convention { up, unit, poses, set, ..Convention::default() };
+        let mut calibration = read_calibration(&path, &convention).map_err(error)?;
+        // They advise to give what was not.
+        let is_given =
+            |note: &str| given.iter().any(|(name, value)| *value != "auto" && note.contains(name));
+        calibration.notes.retain(|note| !is_given(note));
+        warn_of(py, &path.display().to_string(), &calibration.notes)?;
         Ok(Self(Arc::new(calibration.rig)))
     }
 

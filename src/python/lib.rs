@@ -7,7 +7,6 @@ mod recording;
 mod tracker;
 
 use std::ffi::OsString;
-use std::path::Path;
 
 use bundlemocap::{Joint, KeypointFormat};
 use pyo3::create_exception;
@@ -22,12 +21,12 @@ fn error(error: impl std::fmt::Display) -> PyErr {
     Error::new_err(error.to_string())
 }
 
-/// Warns of what a damaged recording lost.
-fn warn_of(py: Python, path: &Path, losses: &[String]) -> PyResult<()> {
-    if losses.is_empty() {
+/// Warns of what may be wrong with a file, or was lost of it.
+fn warn_of(py: Python, file: &str, what: &[String]) -> PyResult<()> {
+    if what.is_empty() {
         return Ok(());
     }
-    let text = format!("{}: {}", path.display(), losses.join("; "));
+    let text = format!("{file}: {}", what.join("; "));
     py.import("warnings")?.call_method1("warn", (text,)).map(drop)
 }
 

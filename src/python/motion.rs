@@ -13,7 +13,7 @@ use bundlemocap::offline::{self, Observer, Options, solve_group};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::array;
+use crate::arrays::{Kept, array};
 use crate::recording::Recording;
 use crate::{error, warn_of};
 
@@ -37,12 +37,16 @@ pub(crate) fn deviations(pose: &StampedPose) -> impl Iterator<Item = f64> {
 pub(crate) struct Motion {
     motion: offline::Motion,
     poses: Vec<StampedPose>,
+    positions: Kept,
+    rotations: Kept,
+    deviations: Kept,
 }
 
 impl From<offline::Motion> for Motion {
     fn from(motion: offline::Motion) -> Self {
         let poses = motion.poses().collect();
-        Self { motion, poses }
+        let (positions, rotations, deviations) = Default::default();
+        Self { motion, poses, positions, rotations, deviations }
     }
 }
 
@@ -65,20 +69,27 @@ impl Motion {
 
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let all = self.poses.iter().flat_map(|pose| positions(&pose.pose, &self.motion.skeleton));
-        array(py, all, [self.poses.len(), JOINTS, 3])
+        self.positions.get(py, || {
+            let skeleton = &self.motion.skeleton;
+            let all = self.poses.iter().flat_map(|pose| positions(&pose.pose, skeleton));
+            array(py, all, [self.poses.len(), JOINTS, 3])
+        })
     }
 
     #[getter]
     fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let all = self.poses.iter().flat_map(|pose| rotations(&pose.pose));
-        array(py, all, [self.poses.len(), JOINTS, 4])
+        self.rotations.get(py, || {
+            let all = self.poses.iter().flat_map(|pose| rotations(&pose.pose));
+            array(py, all, [self.poses.len(), JOINTS, 4])
+        })
     }
 
     #[getter]
     fn deviations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let all = self.poses.iter().flat_map(deviations);
-        array(py, all, [self.poses.len(), JOINTS])
+        self.deviations.get(py, || {
+            let all = self.poses.iter().flat_map(deviations);
+            array(py, all, [self.poses.len(), JOINTS])
+        })
     }
 
     #[getter]
@@ -98,7 +109,7 @@ impl Motion {
     }
 
     fn __repr__(&self) -> String {
-        let Self { motion, poses } = self;
+        let Self { motion, poses, .. } = self;
         format!("Motion of {}: {} poses at {:.2} Hz", motion.actor, poses.len(), motion.fps)
     }
 }
@@ -112,7 +123,7 @@ pub(crate) struct Solved {
 
 fn motions(py: Python, path: &std::path::Path) -> PyResult<BTreeMap<String, Py<Motion>>> {
     let (found, report) = py.detach(|| offline::read_motions(path, false)).map_err(error)?;
-    warn_of(py, path, &report.losses())?;
+    warn_of(py, &path.display().to_string(), &report.losses())?;
     if found.is_empty() {
         let fix = "solve it first, then use its poses.mcap";
         return Err(error(format!("{} holds no poses; {fix}", path.display())));
@@ -135,23 +146,17 @@ pub(crate) enum Take {
     Path(PathBuf),
 }
 
-/// A number of performers, or `auto`.
-#[derive(FromPyObject)]
-pub(crate) enum Count {
-    Number(i64),
-    Text(String),
-}
-
 /// The settings of a file, or the defaults, with the given number of performers.
-pub(crate) fn settings(path: Option<PathBuf>, performers: Option<Count>) -> PyResult<Config> {
+pub(crate) fn settings(
+    path: Option<PathBuf>,
+    performers: Option<&Bound<PyAny>>,
+) -> PyResult<Config> {
     let config = path.map_or(Ok(Config::default()), |path| Config::load_partial(&path));
     let mut config = config.map_err(error)?;
-    let text = performers.map(|given| match given {
-        Count::Number(number) => number.to_string(),
-        Count::Text(text) => text,
-    });
-    if let Some(text) = text {
-        let performers = text.parse().map_err(|what| error(format!("performers: {what}")))?;
+    if let Some(given) = performers {
+        let text = given.str()?;
+        let performers =
+            text.to_str()?.parse().map_err(|what| error(format!("performers: {what}")))?;
         config.stage.performers = performers;
     }
     match config.conflict_of_people() {
@@ -169,7 +174,7 @@ pub(crate) fn settings(path: Option<PathBuf>, performers: Option<Count>) -> PyRe
 pub(crate) fn solve(
     py: Python,
     recording: Take,
-    performers: Option<Count>,
+    performers: Option<&Bound<PyAny>>,
     cameras: Vec<String>,
     hold_out: Vec<String>,
     config: Option<PathBuf>,
@@ -177,13 +182,16 @@ pub(crate) fn solve(
     overwrite: bool,
 ) -> PyResult<Solved> {
     let folder = tempfile::tempdir()?;
-    let path = match recording {
-        Take::Path(path) => path,
+    let (path, name) = match recording {
+        Take::Path(path) => (path.clone(), path.display().to_string()),
         Take::Arrays(arrays) => {
             let path = folder.path().join("arrays.mcap");
-            arrays.get().write(path.clone())?;
-            path
+            arrays.get().write(py, path.clone())?;
+            (path, "the recording".to_owned())
         }
+    };
+    let error = |wrong: offline::Error| {
+        error(wrong.to_string().replace(&path.display().to_string(), &name))
     };
     let config = settings(config, performers)?;
     let performers = config.stage.performers;
@@ -195,10 +203,10 @@ pub(crate) fn solve(
         performers,
         choice: config.stage.choice(),
         names: config.stage.names.clone(),
-        known: config.known_people().map_err(error)?,
+        known: config.known_people().map_err(crate::error)?,
         out: Some(out.clone()),
         overwrite,
-        timecode: config.timecode.house().map_err(error)?,
+        timecode: config.timecode.house().map_err(crate::error)?,
         config_toml: Some(config.to_toml()),
         ..Options::default()
     };
@@ -212,11 +220,11 @@ pub(crate) fn solve(
         return Err(interrupt);
     }
     let (group, losses) = group.map_err(error)?;
-    warn_of(py, &path, &losses)?;
+    warn_of(py, &name, &losses)?;
     if let Some(folder) = config.bodies_folder() {
-        group.write_bodies(folder).map_err(error)?;
+        group.write_bodies(folder).map_err(crate::error)?;
     }
-    let json = serde_json::to_string(&group).map_err(error)?;
+    let json = serde_json::to_string(&group).map_err(crate::error)?;
     let summary = py.import("json")?.call_method1("loads", (json,))?.cast_into::<PyDict>()?;
     Ok(Solved { motions: motions(py, &out.join("poses.mcap"))?, summary: summary.unbind() })
 }

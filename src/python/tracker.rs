@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use bundlemocap::core::body::JOINTS;
-use bundlemocap::core::stage::{Input, Names, Output, Stage};
+use bundlemocap::core::stage::{Input, Names, Output, Performers, Stage};
 use bundlemocap::core::tracker;
 use bundlemocap::{
     Decoder, Detections, KeypointFormat, Nanos, PerformerId, Solver, StampedPose, Timestamp,
@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use crate::arrays::{Array, array};
 use crate::camera::Rig;
 use crate::error;
-use crate::motion::{Body, Count, deviations, positions, rotations, settings};
+use crate::motion::{Body, deviations, positions, rotations, settings};
 use crate::recording::{capture, format_of, numbers, people};
 
 /// Between two frames of a camera: 10 kHz.
@@ -81,15 +81,20 @@ pub(crate) struct Tracker {
 struct Staged {
     stage: Stage,
     solver: Solver,
+    /// The name of the performer, if there is only one.
+    only: Option<String>,
+    /// Names of the cameras.
+    cameras: Vec<String>,
     /// The newest body of each performer.
     bodies: BTreeMap<PerformerId, Body>,
-    /// Frames of each camera so far.
+    /// By camera, the number of its next frame.
     frames: Vec<u64>,
     /// By camera, the time of the newest frame.
     last: Vec<Option<Timestamp>>,
     /// The newest of all cameras.
     newest: Option<Timestamp>,
     events: Vec<String>,
+    has_ended: bool,
 }
 
 impl Staged {
@@ -104,21 +109,33 @@ impl Staged {
                 }
                 Output::Performer(performer, tracker::Output::Pose(pose)) => {
                     let Some(body) = self.bodies.get(&performer).cloned() else { continue };
-                    let performer = self.stage.name_of(performer);
+                    let performer = self.name_of(performer);
                     poses.push(Pose { performer, pose: *pose, body });
                 }
                 Output::Performer(performer, tracker::Output::Event(event)) => {
-                    let (kind, detail) = (event.kind.name(), &event.detail);
-                    let performer = self.stage.name_of(performer);
-                    self.events.push(format!("{performer}: {kind}: {detail}"));
+                    let text = format!("{}: {}", self.name_of(performer), self.words(&event));
+                    self.events.push(text);
                 }
-                Output::Event(event) => {
-                    self.events.push(format!("{}: {}", event.kind.name(), event.detail));
-                }
+                Output::Event(event) => self.events.push(self.words(&event)),
                 _ => {}
             }
         }
         poses
+    }
+
+    /// As [`solve`](crate::motion::solve) names them.
+    fn name_of(&self, performer: PerformerId) -> String {
+        match &self.only {
+            Some(name) => name.clone(),
+            None => self.stage.name_of(performer),
+        }
+    }
+
+    /// Kind, camera and what was measured.
+    fn words(&self, event: &tracker::Event) -> String {
+        let camera = event.camera.and_then(|camera| self.cameras.get(camera));
+        let camera = camera.map_or(String::new(), |name| format!("{name}: "));
+        format!("{}: {camera}{}", event.kind.name(), event.detail)
     }
 }
 
@@ -135,7 +152,7 @@ impl Tracker {
     fn new(
         rig: Rig,
         format: &str,
-        performers: Option<Count>,
+        performers: Option<&Bound<PyAny>>,
         config: Option<PathBuf>,
     ) -> PyResult<Self> {
         let config = settings(config, performers)?;
@@ -147,29 +164,46 @@ impl Tracker {
                 .choosing(config.stage.choice())
                 .naming(Names::new(config.stage.names.clone()))
                 .with_known(&known),
+            only: (config.stage.performers == Performers::Number(1)).then_some(config.node.actor),
+            cameras: rig.0.cameras.iter().map(|camera| camera.name.clone()).collect(),
             solver: Solver::new(decoder, config.tracker),
             bodies: BTreeMap::new(),
             frames: vec![0; rig.0.cameras.len()],
             last: vec![None; rig.0.cameras.len()],
             newest: None,
             events: Vec::new(),
+            has_ended: false,
         };
         Ok(Self { rig, format: format_of(format)?, stage: Mutex::new(stage) })
     }
 
     /// Adds what a camera detected; returns the poses that are new.
+    #[pyo3(signature = (camera, time_ns, points, frame=None))]
     fn add(
         &self,
         py: Python,
         camera: &str,
         time_ns: i64,
         points: Array<f64>,
+        frame: Option<i64>,
     ) -> PyResult<Vec<Pose>> {
         let (camera, capture) = (self.rig.index_of(camera)?, capture(time_ns)?);
+        let frame = frame.map(u64::try_from).transpose();
+        let frame = frame.map_err(|_| error("frame: the number of an image is not negative"))?;
         let format = self.format;
+        if !(2..=3).contains(&points.shape.len()) {
+            let shape = &points.shape;
+            let text = format!(
+                "points: give those of one image, (people x) points x 3 numbers, not {shape:?}"
+            );
+            return Err(error(text));
+        }
         let people = people(format, &numbers(format, &points, "(people)")?);
         py.detach(|| {
             let mut stage = self.stage();
+            if stage.has_ended {
+                return Err(error("the tracker has ended; make a new one for the next take"));
+            }
             let last = stage.last[camera].replace(capture);
             let newest = stage.newest.unwrap_or(capture);
             let apart = last.map_or(LONGEST, |last| capture - last);
@@ -182,19 +216,25 @@ impl Tracker {
                 )));
             }
             stage.newest = Some(newest.max(capture));
-            let frame = stage.frames[camera];
-            stage.frames[camera] += 1;
+            let frame = frame.unwrap_or(stage.frames[camera]);
+            stage.frames[camera] = frame.wrapping_add(1);
             Ok(stage.feed(Input::Detections(Detections { camera, frame, capture, format, people })))
         })
     }
 
     /// The last poses; nothing may be added after it.
     fn end(&self, py: Python) -> Vec<Pose> {
-        py.detach(|| self.stage().feed(Input::End))
+        py.detach(|| {
+            let mut stage = self.stage();
+            match std::mem::replace(&mut stage.has_ended, true) {
+                true => Vec::new(),
+                false => stage.feed(Input::End),
+            }
+        })
     }
 
     /// What happened since the last call.
-    fn take_events(&self) -> Vec<String> {
-        std::mem::take(&mut self.stage().events)
+    fn take_events(&self, py: Python) -> Vec<String> {
+        py.detach(|| std::mem::take(&mut self.stage().events))
     }
 }

@@ -5,7 +5,7 @@ use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bundlemocap::core::time::Timestamp;
 use bundlemocap::io::bus::{
@@ -582,6 +582,53 @@ conformance!(zenoh_node_and_tool, NodeAndTool::new());
 conformance!(zenoh_two_tools, TwoTools::new());
 conformance!(iceoryx2, InSharedMemory::new());
 conformance!(replay, Recorded::new());
+
+/// A process that is killed at the end.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A program that receives everything stops to read, as on a computer that is cut off. States and streams of one tool go to
+/// another one all the same.
+#[test]
+fn a_hung_receiver_does_not_stop_the_others() {
+    let pair = TwoTools::new();
+    let address = pair._node.listens_on().remove(0);
+    let mut echo = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+    echo.args(["echo", "all", "--connect", &address]).stdout(Stdio::null()).stderr(Stdio::null());
+    let echo = Process(echo.spawn().unwrap());
+    let [stream, state] = ["pose", "keyframe"].map(|channel| {
+        let topic = format!("mocap/stage/actor/a/{channel}");
+        (pair.near().publisher(&topic).unwrap(), Inbox::open(pair.far(), &topic))
+    });
+    for (publisher, inbox) in [&stream, &state] {
+        connect(&pair, &**publisher, inbox);
+    }
+    let begin = Instant::now();
+    while pair.near().receivers("mocap/stage").unwrap().is_empty() {
+        assert!(begin.elapsed() < LONG, "echo does not come");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let pid = echo.0.id().to_string();
+    assert!(Command::new("kill").args(["-STOP", &pid]).status().unwrap().success());
+    // As long as it takes to fill the queues for it, and several heartbeats of the states.
+    const FRAMES: usize = 250;
+    let large = vec![0; 60_000];
+    for number in 0..FRAMES {
+        put(&*state.0, number as i64, &large);
+        put(&*stream.0, number as i64, &[number as u8]);
+        std::thread::sleep(Duration::from_millis(16));
+    }
+    let soon = Duration::from_millis(500);
+    let arrived = std::iter::from_fn(|| stream.1.samples.recv_timeout(soon).ok()).count();
+    // A busy computer loses a few.
+    assert!(arrived > FRAMES * 4 / 5, "{arrived} of {FRAMES}");
+}
 
 #[test]
 fn a_port_in_use_is_named_with_the_fix() {

@@ -1229,6 +1229,34 @@ fn frames_of_unknown_cameras_and_other_images_are_left_out() {
 }
 
 #[test]
+fn a_camera_with_another_keypoint_format_is_left_out_and_said() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 120, |_| true);
+    let mut reader = Reader::open(place.path("walk.mcap")).unwrap();
+    let topics = Topics::default();
+    let mut writer =
+        Writer::create(place.path("odd.mcap"), topics.clone(), &Provenance::default()).unwrap();
+    while let Some(mut entry) = reader.next_raw().transpose().unwrap() {
+        if *entry.topic == *topics.keypoints("cam01") {
+            let mut frame: wire::KeypointFrame = wire::decode(&entry.payload).unwrap();
+            frame.format = "coco_17".into();
+            frame.people.iter_mut().for_each(|person| person.points.truncate(3 * 17));
+            entry.payload = wire::encode(&frame);
+        }
+        writer.write_raw(&entry).unwrap();
+    }
+    writer.finish().unwrap();
+    let output = place.run("solve odd.mcap --out odd --json");
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(IN_PART), "{errors}");
+    let figures: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let damage = figures["damage"][0].as_str().unwrap();
+    let told = ["120 messages of", "cam01", "coco_17, most cameras have body_25"];
+    assert!(told.iter().all(|words| damage.contains(words)), "{damage}");
+    assert_eq!((&figures["frames"], &figures["frames_lost"]), (&120.into(), &0.into()));
+}
+
+#[test]
 fn who_is_away_for_a_while_is_no_failure() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 150, |detections| {

@@ -34,20 +34,24 @@ impl Cameras {
         Self { rate: FrameRate::new(cameras), draws, jitter_ms, lost }
     }
 
-    /// A camera's frame `number`, nominally at `ns`, counted as `counter`.
-    fn frame(&mut self, camera: usize, number: u64, ns: f64, counter: u64) {
+    /// A camera's frame `number`, nominally at `ns`, counted as `counter`. Returns whether it came.
+    fn frame(&mut self, camera: usize, number: u64, ns: f64, counter: u64) -> bool {
         let item = 16 * number + camera as u64;
-        if self.draws.uniform(1, item) >= self.lost {
+        let came = self.draws.uniform(1, item) >= self.lost;
+        if came {
             let jitter = self.draws.normals(2, item)[0] * self.jitter_ms * MS;
             let capture = Timestamp::from_ns(1_700_000_000_000_000_000);
             self.rate.note(camera, counter, capture + Nanos::rounded(ns + jitter));
         }
+        came
     }
 
     /// Frames of the first `cameras`, from `seconds` on.
     fn run(&mut self, cameras: usize, hz: f64, [from, to]: [f64; 2]) {
         for number in (from * hz).round() as u64..(to * hz).round() as u64 {
-            (0..cameras).for_each(|c| self.frame(c, number, number as f64 * 1e9 / hz, number));
+            for camera in 0..cameras {
+                self.frame(camera, number, number as f64 * 1e9 / hz, number);
+            }
         }
     }
 
@@ -122,6 +126,41 @@ fn the_fastest_cameras_set_the_rate_and_a_broken_counter_does_not() {
             }
         }
         assert!((cameras.hz() / 60.0 - 1.0).abs() < 1e-4, "{}", cameras.hz());
+    }
+}
+
+/// Detectors often count what they send.
+#[test]
+fn a_counter_of_messages_is_not_one_of_images() {
+    for (lost, jitter_ms) in [(0.1, 0.0), (0.3, 0.0), (0.1, 1.0), (0.3, 1.0)] {
+        for seed in 0..SEEDS {
+            let mut cameras = Cameras::new(2, seed, jitter_ms, lost);
+            let mut sent = [0; 2];
+            for number in 0..600 {
+                for (camera, sent) in sent.iter_mut().enumerate() {
+                    let is_sent = cameras.frame(camera, number, number as f64 * 1e9 / 60.0, *sent);
+                    *sent += u64::from(is_sent);
+                    // The network loses some more.
+                    *sent += u64::from(number % 50 == 7);
+                }
+            }
+            assert!((cameras.hz() / 60.0 - 1.0).abs() < 1e-3, "{lost} lost: {}", cameras.hz());
+        }
+    }
+}
+
+/// The clock of some computers ticks every 15.625 ms.
+#[test]
+fn a_counter_of_images_is_used_with_coarse_time_stamps() {
+    for (hz, tick_ms) in [(60.0, 15.625), (50.0, 15.625), (50.0, 1e3 / 60.0), (100.0, 1e3 / 120.0)]
+    {
+        let mut cameras = Cameras::new(1, 1, 0.0, 0.0);
+        for number in 0..600 {
+            let tick = tick_ms * MS;
+            let ns = (number as f64 * 1e9 / hz / tick).floor() * tick;
+            cameras.frame(0, number, ns, number);
+        }
+        assert!((cameras.hz() / hz - 1.0).abs() < 1e-3, "{hz} Hz, {tick_ms} ms: {}", cameras.hz());
     }
 }
 

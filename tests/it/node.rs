@@ -77,7 +77,7 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
     let core = Core::new(settings);
     let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
     let now = WallClock::start().now();
-    let presence = Presence::announce(Arc::new(bus.clone()), topics, now)?.alone()?;
+    let presence = Presence::announce(Arc::new(bus.clone()), topics, false, now)?.alone()?;
     Node::start(
         Arc::new(bus.clone()),
         presence,
@@ -391,12 +391,22 @@ fn the_second_node_of_a_performer_stands_back() {
     assert_eq!((events("second_node"), first.elder().unwrap()), (1, None));
     let bus: Arc<dyn Bus> = Arc::new(studio.bus.clone());
     // Its clock is far behind.
-    let standby = Presence::announce(bus, studio.topics.clone(), Timestamp::default()).unwrap();
+    let announced = |topics: &Topics, several: bool| {
+        let (bus, now) = (Arc::clone(&bus), Timestamp::default());
+        Presence::announce(bus, topics.clone(), several, now).unwrap()
+    };
+    let standby = announced(&studio.topics, false);
     assert_eq!(first.elder().unwrap(), None);
     let elder = standby.elder().unwrap().unwrap();
     assert!(error.to_string().contains(&elder.to_string()), "{error}; {elder}");
     first.stop().unwrap();
     assert!(standby.elder().unwrap().is_none());
+    // Several performers have the same topics, whatever the nodes are called.
+    let other = Topics { actor: "other".into(), ..studio.topics.clone() };
+    let (front, second) = (announced(&studio.topics, true), announced(&other, true));
+    assert!(second.elder().unwrap().is_some());
+    drop((front, standby));
+    assert!(second.elder().unwrap().is_none());
 }
 
 #[test]

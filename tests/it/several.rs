@@ -467,6 +467,23 @@ fn performers_are_named_dropped_and_followed() {
     assert!(take.topics[&Topics::default().stage_status()].equal > 5);
 }
 
+#[test]
+fn the_body_of_a_name_given_by_mistake_is_not_kept() {
+    let mut stage = Stage::new(2, 4, 13);
+    stage.config.stage.bodies = "bodies".into();
+    let messages = |from: f64, to: f64, names: [&str; 2]| {
+        let mut messages = stage.all();
+        messages.retain(|message| (at(from)..at(to)).contains(&message.arrival));
+        messages.push(name(names[0], names[1], to - 0.5));
+        messages
+    };
+    let mut world = World::new(&stage.config);
+    for (from, to, names) in [(-1.0, 12.0, ["p2", "duble"]), (12.0, 13.0, ["duble", "double"])] {
+        world.play(messages(from, to, names), at(to));
+        assert_eq!(world.bodies.keys().collect::<Vec<_>>(), [names[1]]);
+    }
+}
+
 /// The second one leaves; a third one comes, and has its number if it had no name.
 #[test]
 fn a_number_is_somebody_elses_when_a_performer_without_a_name_has_left() {

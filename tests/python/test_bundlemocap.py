@@ -52,6 +52,44 @@ def test_a_recording_is_read_and_written(recording: bm.Recording, tmp_path: Path
         assert len(bm.FORMATS[keypoints.format]) == 25
         np.testing.assert_array_equal(again.keypoints[name].points, keypoints.points)
         np.testing.assert_array_equal(again.keypoints[name].times_ns, keypoints.times_ns)
+        assert again.keypoints[name].frames.tolist() == list(range(240))
+        assert again.keypoints[name].size == recording.rig.cameras[0].size
+
+
+def test_numbers_and_sizes_of_images_are_kept(recording: bm.Recording, tmp_path: Path) -> None:
+    path = tmp_path / "lost.mcap"
+    kept = np.flatnonzero(np.random.default_rng(1).random(240) > 0.3)
+
+    def of(one: bm.Keypoints, frames: np.ndarray | None, size: tuple[int, int]) -> bm.Keypoints:
+        return bm.Keypoints(one.times_ns[kept], one.points[kept], one.format, frames=frames, size=size)
+
+    def take(frames: np.ndarray | None, size: tuple[int, int] = (1280, 1024)) -> bm.Recording:
+        return bm.Recording(
+            recording.rig, {name: of(one, frames, size) for name, one in recording.keypoints.items()}
+        )
+
+    take(kept).write(path)
+    again = bm.Recording.read(path)
+    assert again.keypoints["cam02"].frames.tolist() == kept.tolist()
+    assert again.keypoints["cam02"].size == (1280, 1024)
+    # A counter that does not show the losses is noticed too.
+    for lost in [again, take(None)]:
+        motion = bm.solve(lost).motions["actor"]
+        assert motion.fps == pytest.approx(60, rel=1e-3) and abs(len(motion) - 240) < 10
+    with pytest.raises(bm.Error, match="the recording: camera cam01 was calibrated with images of 1280 x 1024"):
+        bm.solve(take(kept, (640, 512)))
+
+
+def test_arrays_cannot_be_changed(recording: bm.Recording) -> None:
+    keypoints = recording.keypoints["cam01"]
+    with pytest.raises(ValueError, match="read-only"):
+        keypoints.points[0] = np.nan
+    with pytest.raises(TypeError, match="item deletion"):
+        del recording.keypoints["cam03"]  # type: ignore[attr-defined]
+    assert keypoints.points is keypoints.points
+    masked = np.ma.masked_array(np.full((1, 17, 3), 0.5), mask=np.arange(51).reshape(1, 17, 3) < 3)
+    points = bm.Keypoints([0], masked, "coco_17").points  # type: ignore[arg-type]
+    assert np.isnan(points[0, 0, 0, 0]) and (points[0, 0, 1:] == 0.5).all()
 
 
 def test_the_messages_of_a_recording_are_read(tmp_path: Path) -> None:
@@ -125,15 +163,23 @@ def test_the_tracker_solves_frame_by_frame(
         for name, one in recording.keypoints.items()
         for frame, time in enumerate(one.times_ns)
     )
-    tracker = bm.Tracker(recording.rig, "body_25")
+    tracker, other = [bm.Tracker(recording.rig, "body_25") for _ in range(2)]
     poses = [pose for time, name, frame in frames for pose in tracker.add(name, time, points[name][frame])]
     assert len(poses) > 200, "poses come while frames are added"
     poses += tracker.end()
     final = [pose for pose in poses if not pose.provisional]
     motion = solved[0].motions["actor"]
     assert [pose.time_ns for pose in final] == motion.times_ns.tolist()
-    assert {pose.performer for pose in final} == {"p1"}
+    assert {pose.performer for pose in final} == {"actor"}
     assert any("acquired" in event for event in tracker.take_events()) and not tracker.take_events()
+    for time, name, frame in frames[:480]:
+        if name == "cam03" and frame > 30:
+            continue
+        other.add(name, time, points[name][frame], frame)
+    assert any(": cam03: " in event for event in other.take_events())
+    assert not tracker.end()
+    with pytest.raises(bm.Error, match="has ended"):
+        tracker.add("cam01", frames[-1][0] + 20_000_000, points["cam01"][0])
     positions = np.array([pose.positions for pose in final])
     far = np.linalg.norm(positions - motion.positions, axis=2)
     assert np.median(far) < 0.01 and far[20:].max() < 0.1
@@ -158,7 +204,6 @@ def test_other_numbers_are_taken() -> None:
     points = np.full((2, 17, 3), 0.5, np.float32)
     keypoints = bm.Keypoints([0, 1], points[:, ::-1], "coco_17")  # type: ignore[arg-type]
     assert (keypoints.points == 0.5).all() and keypoints.points.shape == (2, 1, 17, 3)
-    keypoints.points[0] = 0  # A copy.
     assert (keypoints.points == 0.5).all() and keypoints.times_ns.tolist() == [0, 1]
 
 
@@ -177,8 +222,14 @@ def test_errors_say_what_is_wrong(recording: bm.Recording, tmp_path: Path) -> No
     for count in [0, -1]:
         with pytest.raises(bm.Error, match="performers"):
             bm.solve(WALK, performers=count)
-    with pytest.raises(bm.Error, match="whole numbers"):
+    with pytest.raises(TypeError, match=r"whole numbers[\s\S]*times_ns"):
         bm.Keypoints(np.array([0.5]), np.zeros((1, 25, 3)), format)
+    with pytest.raises(TypeError, match=r"numbers[\s\S]*points"):
+        bm.Keypoints(np.arange(2), [[1.0], [1.0, 2.0]], format)  # type: ignore[arg-type]
+    with pytest.raises(bm.Error, match="performers"):
+        bm.Tracker(rig, format, performers=2.5)  # type: ignore[arg-type]
+    with pytest.raises(bm.Error, match="size"):
+        bm.Camera("c", (-1, 480), np.eye(3), np.eye(3), np.zeros(3))
     with pytest.raises(bm.Error, match="years 1684 to 2255"):
         bm.Keypoints([2**63 - 1], np.zeros((1, 25, 3)), format)  # type: ignore[arg-type]
     tracker = bm.Tracker(rig, format)
@@ -188,6 +239,12 @@ def test_errors_say_what_is_wrong(recording: bm.Recording, tmp_path: Path) -> No
         with pytest.raises(bm.Error, match="give nanoseconds"):
             tracker.add(camera, time, nobody)
     tracker.add("cam01", 20_000_000, nobody)
+    with pytest.raises(bm.Error, match="one image"):
+        tracker.add("cam01", 40_000_000, np.zeros((2, 3, 25, 3)))
+    with pytest.raises(bm.Error, match="not negative"):
+        tracker.add("cam01", 40_000_000, nobody, -1)
+    with pytest.raises(bm.Error, match="frames: .*not negative"):
+        bm.Keypoints(np.arange(1), np.zeros((1, 25, 3)), format, frames=np.array([-1]))
     with pytest.raises(bm.Error, match="holds no poses"):
         bm.read_motions(WALK)
     with pytest.raises(bm.Error, match="matrix: give an array of 3 x 3"):

@@ -77,9 +77,10 @@ export async function freePort() {
   return port;
 }
 
-/** Opens the page. What its console says of errors is in `said`. */
-export async function open(url, options = {}) {
+/** Opens the page. What its console says of errors is in `said`. `first` runs in it before its own scripts. */
+export async function open(url, { first, ...options } = {}) {
   const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, ...options });
+  if (first) await page.addInitScript(first);
   const said = [];
   page.on("console", (message) => {
     if (["error", "warning"].includes(message.type())) said.push(message.text());

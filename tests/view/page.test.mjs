@@ -36,6 +36,11 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await picture(page, "recording");
 
   const bar = await page.locator("#timeline").boundingBox();
+  await page.locator("#timeline").focus();
+  for (const [key, time] of [["End", 3.98], ["PageDown", 2.98], ["Home", 0]]) {
+    await page.keyboard.press(key);
+    await until(page, (wanted) => Math.abs(Number(document.body.dataset.time) - wanted) < 0.03, time);
+  }
   await page.mouse.click(bar.x + bar.width / 4, bar.y + bar.height / 2);
   await until(page, () => Math.abs(Number(document.body.dataset.time) - 1) < 0.02);
   await page.keyboard.press("]");
@@ -126,6 +131,35 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await picture(dark.page, "tablet");
   assert.deepEqual(dark.said, []);
   await dark.page.close();
+
+  // A phone: one below the other.
+  const phone = await open(`${match[1]}#t=2`, { viewport: { width: 390, height: 844 }, hasTouch: true });
+  await people(phone.page, 1);
+  const { width, height } = await phone.page.locator("#scene").boundingBox();
+  assert.ok(width > 350 && height > 350, `a scene of ${width} x ${height}`);
+  await isSound(phone.page);
+  await picture(phone.page, "phone");
+  await phone.page.close();
+
+  const first = () => {
+    const { getContext } = HTMLCanvasElement.prototype;
+    HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+      return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...more);
+    };
+  };
+  const flat = await open(`${match[1]}#t=2`, { first });
+  await until(flat.page, () => document.getElementById("empty").textContent.includes("WebGL"));
+  await until(flat.page, () => document.querySelectorAll("#cameras [data-level]").length === 4);
+  await flat.page.keyboard.press("1");
+  await flat.page.keyboard.press("ArrowRight");
+  await until(flat.page, () => document.body.dataset.time > "2.0");
+  assert.deepEqual(flat.said.filter((line) => !line.includes("WebGL")), []);
+  await flat.page.close();
+
+  run("solve", join(root, "recordings/walk.mcap"), "--out", join(folder, "walk"), "--overwrite");
+  const changed = await open(match[1]);
+  await until(changed.page, () => document.getElementById("node").textContent.includes("has changed since it was opened"));
+  await changed.page.close();
   await stop(child);
 });
 
@@ -306,6 +340,16 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   const first = await start(node, /the page is on (\S+)/);
   const { page, said } = await open(first.match[1]);
   await until(page, () => document.getElementById("empty").textContent.startsWith("No keypoints on mocap/stage."));
+  // A take may begin before the cameras send. A key for the picture does not press the button again.
+  await page.locator("#take-name").fill("early");
+  await page.locator("#record").click();
+  await page.keyboard.press(" ");
+  await until(page, () => document.getElementById("play").textContent === "Resume");
+  await page.keyboard.press(" ");
+  await until(page, () => /^● early no frames Stop$/.test(document.getElementById("record").textContent));
+  assert.match(await page.locator("#answers").textContent(), /no recorder is known/);
+  await page.locator("#record").click();
+  await until(page, () => document.getElementById("record").textContent === "Record");
   const play = (...cameras) => start([
     "play", join(root, "recordings/walk.mcap"), "--loop", "--connect", `tcp/127.0.0.1:${bus}`,
     ...cameras.flatMap((camera) => ["--camera", camera]),
@@ -334,7 +378,7 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
 
   // A take is recorded, and the next name is ready.
   const takes = join(folder, "takes");
-  await start(["record", `${takes}/`, "--connect", `tcp/127.0.0.1:${bus}`], /recording takes/);
+  const recorder = await start(["record", `${takes}/`, "--connect", `tcp/127.0.0.1:${bus}`], /recording takes/);
   await until(page, () => document.getElementById("receivers").textContent.match(/^bundlemocap record on \S+everything$/));
   await until(page, () => /^\d+\.\d GB free$/.test(document.getElementById("free").textContent));
   await page.locator("#take-name").fill("");
@@ -381,8 +425,12 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   });
   assert.deepEqual(said, []);
 
+  await stop(recorder.child, "SIGKILL");
+  await until(page, () => document.getElementById("free").hidden, undefined, 20_000);
+
   await stop(first.child);
   await until(page, () => document.getElementById("node").textContent.includes("no connection"));
+  await until(page, () => document.querySelector("#performers li").textContent.includes("no news"));
   await start(node, /the page is on (\S+)/);
   await until(page, () => !/no connection|no status/.test(document.getElementById("node").textContent));
   await people(page, 1);

@@ -213,6 +213,11 @@ impl Recorder {
         let last = self.last.as_ref().filter(is_last).map(|(_, file)| file);
         let name = last.or(Some(&take.name).filter(|name| !name.is_empty()));
         let name = name.ok_or_else(|| std::io::Error::other("no take was recorded"))?;
+        let recorded = self.folder.join(format!("{name}.mcap"));
+        if last.is_none() && !recorded.exists() {
+            let folder = self.folder.display();
+            return Err(std::io::Error::other(format!("no take {name} is in {folder}")));
+        }
         let path = self.folder.join(NOTES);
         let is_new = !path.exists();
         let file = std::fs::OpenOptions::new().create(true).append(true).open(&path);
@@ -414,6 +419,11 @@ mod tests {
         let said = recorder.slate(&note, at(29.0)).unwrap();
         assert!(
             matches!(&said[..], [Said::Answer(3, Ok(text))] if text.contains("walk_2 ")),
+            "{said:?}"
+        );
+        let said = recorder.slate(&slate("note", "wlak"), at(29.0)).unwrap();
+        assert!(
+            matches!(&said[..], [Said::Answer(3, Err(why))] if why.contains("wlak")),
             "{said:?}"
         );
         // Another recorder may have it.

@@ -1,7 +1,8 @@
 //! The frame rate of the cameras: lines through capture times over frame numbers.
 //!
 //! Each camera's period is the slope of a least-squares line through the capture times of its last
-//! frames over their numbers. A counter that does not count frames is replaced by rounded steps. Jumps
+//! frames over their numbers. A counter that does not count the images, but for example those that were sent, is replaced
+//! by rounded steps. Jumps
 //! begin parallel lines of the same slope. If the last frames have another slope, by a whole period, the
 //! frames before them are dropped. Cameras near the fastest are pooled, and the only listed rate within
 //! three standard errors takes the place of the result.
@@ -43,6 +44,10 @@ const LEAST: usize = 5;
 const RECENT: usize = 32;
 /// A frame counter is used if its step is within this range of the median step in time.
 const SAME_STEP: std::ops::Range<f64> = 0.6..1.5;
+/// A counter is judged if more than this share of the steps in time is two or more median ones long.
+const UNCOUNTED: f64 = 0.02;
+/// A step is a multiple of the median one within this fraction of it.
+const MULTIPLE: f64 = 0.25;
 /// A frame further off the line than this many periods, and this fraction of the step, begins a new
 /// line of the same slope: the clock or the counter has jumped.
 const JUMP: [f64; 2] = [4.0, 0.05];
@@ -80,6 +85,8 @@ struct Camera {
     /// Frames since the last measurement.
     new: usize,
     line: Option<Line>,
+    /// Whether its counter counts what is sent, and not the images.
+    counts_messages: bool,
 }
 
 /// The period of a camera, and whether its frame counter is usable.
@@ -172,12 +179,17 @@ impl FramePeriod {
     /// The only listed rate within three standard errors, or else this.
     fn snapped(self) -> Self {
         let rate = (1e9 / self.ns).clamp(*RATES_HZ.start(), *RATES_HZ.end());
+        match self.listed() {
+            Some(rate) => Self { ns: 1e9 / rate, error_ns: 0.25 * LEAST_ERROR * self.ns },
+            None => Self { ns: 1e9 / rate, ..self },
+        }
+    }
+
+    /// The only listed rate within three standard errors, Hz.
+    fn listed(&self) -> Option<f64> {
         let near = |rate: &f64| (1e9 / rate - self.ns).abs() <= 3.0 * self.error_ns;
         let mut near = COMMON_RATES_HZ.into_iter().filter(near);
-        match (near.next(), near.next()) {
-            (Some(rate), None) => Self { ns: 1e9 / rate, error_ns: 0.25 * LEAST_ERROR * self.ns },
-            _ => Self { ns: 1e9 / rate, ..self },
-        }
+        near.next().filter(|_| near.next().is_none())
     }
 
     /// Whether another period differs from this one by more than two standard errors.
@@ -190,6 +202,7 @@ impl Camera {
     fn note(&mut self, number: u64, capture: Timestamp) {
         if self.frames.back().is_some_and(|(_, last)| *last - capture > BACK) {
             self.frames.clear();
+            self.counts_messages = false;
         }
         let later = self.frames.iter().rev().take_while(|(_, other)| *other > capture).count();
         self.frames.insert(self.frames.len() - later, (number, capture));
@@ -207,13 +220,20 @@ impl Camera {
     /// two rates, the period stays.
     fn measure(&mut self) {
         let frames: &[(u64, Timestamp)] = self.frames.make_contiguous();
+        // With coarse time stamps the steps look as if frames were lost, but the counter has a usual rate.
+        let is_usual =
+            || Line::fit(frames, true).is_some_and(|line| line.period.listed().is_some());
+        if let Some(counts) = counts_messages(&steps(frames)) {
+            self.counts_messages = counts && !is_usual();
+        }
+        let fit = |frames| Line::fit(frames, !self.counts_messages);
         if let Some((old, recent)) = frames.split_at_checked(frames.len().saturating_sub(RECENT))
-            && let (Some(before), Some(now)) = (Line::fit(old), Line::fit(recent))
+            && let (Some(before), Some(now)) = (fit(old), fit(recent))
             && old.len() >= RECENT / 2
             && now.differs_from(&before)
         {
             let (first, second) = recent.split_at(RECENT / 2);
-            let halves = Line::fit(first).zip(Line::fit(second));
+            let halves = fit(first).zip(fit(second));
             if let Some((before, now)) = halves
                 && !now.differs_from(&before)
             {
@@ -222,27 +242,26 @@ impl Camera {
             }
             return;
         }
-        self.line = Line::fit(frames).or(self.line);
+        self.line = fit(frames).or(self.line);
     }
 }
 
 impl Line {
     /// The least-squares slope of the capture time over the frame number, of one line or, after jumps,
     /// several parallel ones. Without a usable counter, steps are rounded multiples of the median one.
-    fn fit(frames: &[(u64, Timestamp)]) -> Option<Self> {
+    fn fit(frames: &[(u64, Timestamp)], has_counter: bool) -> Option<Self> {
         if frames.len() < LEAST {
             return None;
         }
-        let steps = frames.windows(2).map(|pair| {
-            let count = pair[1].0.wrapping_sub(pair[0].0).cast_signed();
-            (count as f64, (pair[1].1 - pair[0].1).ns() as f64)
-        });
-        let mut times: Vec<f64> = steps.clone().map(|(_, time)| time).collect();
-        let counting = steps.clone().filter(|(count, _)| *count != 0.0);
+        let steps = steps(frames);
+        let mut times: Vec<f64> = steps.iter().map(|(_, time)| *time).collect();
+        let counting = steps.iter().filter(|(count, _)| *count != 0.0);
         let mut by_count: Vec<f64> = counting.map(|(count, time)| time / count).collect();
         let step = median(&mut times)?;
         let counted = median(&mut by_count).unwrap_or(0.0);
-        let is_counted = 2 * by_count.len() > times.len() && SAME_STEP.contains(&(counted / step));
+        let is_counted = has_counter
+            && 2 * by_count.len() > times.len()
+            && SAME_STEP.contains(&(counted / step));
         let nominal = if is_counted { counted } else { step };
         if nominal <= 0.0 {
             return None;
@@ -286,6 +305,39 @@ impl Line {
         let error = libm::hypot(a.error_ns, b.error_ns);
         apart > 4.0 * error && apart * RECENT as f64 > a.ns.max(b.ns)
     }
+}
+
+/// The steps between frames, of the counter and of the time, ns.
+fn steps(frames: &[(u64, Timestamp)]) -> Vec<(f64, f64)> {
+    let step = |pair: &[(u64, Timestamp)]| {
+        let count = pair[1].0.wrapping_sub(pair[0].0).cast_signed();
+        (count as f64, (pair[1].1 - pair[0].1).ns() as f64)
+    };
+    frames.windows(2).map(step).collect()
+}
+
+/// Whether a counter counts what was sent and not the images: the times show that frames were lost, but mostly not the
+/// counter. `None`: too few frames tell.
+fn counts_messages(steps: &[(f64, f64)]) -> Option<bool> {
+    let step = median(&mut steps.iter().map(|(_, time)| *time).collect::<Vec<f64>>())?;
+    let is_lost = |three: &&[(f64, f64)]| {
+        let [(_, before), (_, time), (_, after)] = three else { return false };
+        let multiple = (time / step).round();
+        (2.0..=COUNTED_GAP).contains(&multiple)
+            && (time / step - multiple).abs() < MULTIPLE
+            && before + time + after > (multiple + 1.5) * step
+    };
+    let lost: Vec<&[(f64, f64)]> = steps.windows(3).filter(is_lost).collect();
+    let counted = lost.iter().filter(|three| three[1].0 > 1.0).count();
+    let (frames, gaps) = (steps.len() as f64, lost.len() as f64);
+    let time: f64 = steps.iter().map(|(_, time)| time).sum();
+    let is_short = steps.len() < RECENT - 1;
+    // Jitter that looks like gaps makes as many steps short.
+    let short = steps.iter().filter(|(_, time)| *time < 0.5 * step).count();
+    let tells = gaps > UNCOUNTED * frames
+        && gaps > 4.0 * short as f64
+        && time > step * (frames + 0.5 * gaps);
+    (!is_short && tells).then_some(2 * counted < lost.len())
 }
 
 /// Sums of squared deviations from the means, of points on one line or on several.

@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::node::{Node, NodeBuilder, NodeState};
 use iceoryx2::port::event_id::EventId;
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as Port;
 use iceoryx2::port::subscriber::Subscriber;
@@ -129,7 +129,10 @@ impl Shared {
                 |event| seen.iter_mut().skip(event.id.as_value()).take(1).for_each(|s| *s = true),
                 ROUND.saturating_sub(cleaned.elapsed()),
             );
-            if let Err(error) = waited {
+            // A signal, such as the one that lets a stopped process go on, ends a wait early.
+            if let Err(error) = waited
+                && !matches!(error, ListenerWaitError::InterruptSignal)
+            {
                 tracing::warn!("the bus cannot wait for events: {error}; it checks once a second");
                 std::thread::sleep(ROUND);
             }

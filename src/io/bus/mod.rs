@@ -141,8 +141,13 @@ pub trait Bus: Send + Sync {
     /// The matching names that programs on this bus have announced, those of this program too.
     ///
     /// # Errors
-    /// The text is not a pattern, or the transport refuses it.
+    /// The text is not a pattern, or the transport refuses it or does not answer in time.
     fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError>;
+
+    /// Whether the router is reached; a bus without routers always is.
+    fn is_connected(&self) -> bool {
+        true
+    }
 
     /// The other sessions that have announced that they receive any topic below a name, such as
     /// `mocap/stage/actor`. Our own sessions announce it; on a bus inside a process there are none.
@@ -212,11 +217,13 @@ pub enum BusError {
     /// No address answers.
     #[error(
         "nothing answers at {endpoints}; is `bundlemocap run` up? [bus.zenoh] connect says where \
-         it is"
+         it is{}", if *tls { ", [bus.zenoh.tls] which certificates are trusted: those of both ends must fit" } else { "" }
     )]
     NobodyAnswers {
         /// The addresses that were tried, separated by commas.
         endpoints: String,
+        /// Whether one of them is encrypted.
+        tls: bool,
     },
     /// A setting that the transport refuses.
     #[error("[bus] {key} = {value}: {reason}")]

@@ -23,7 +23,7 @@ use std::time::Duration;
 use zenoh::bytes::Encoding;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr};
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::query::{ConsolidationMode, Query, QueryTarget, Reply};
 use zenoh::sample::Locality;
 use zenoh::{Session, Wait};
 use zenoh_ext::{
@@ -47,12 +47,14 @@ const HISTORY_WITHIN: Duration = Duration::from_secs(2);
 const ANNOUNCED_WITHIN: Duration = Duration::from_secs(1);
 
 /// Interval at which a publisher of states sends its last sequence number, if it published.
-const HEARTBEAT: Duration = Duration::from_millis(500);
+const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// The bus over a network.
 pub struct Zenoh {
     session: Session,
     announcer: Announcer,
+    /// Whether it needs a router.
+    is_client: bool,
 }
 
 /// Delay before closing, so that the last samples are still sent.
@@ -127,7 +129,10 @@ fn open(
         });
     }
     match zenoh::open(settings(config, mode, listen, connect, scouting)?).wait() {
-        Ok(session) => Ok(Zenoh { session, announcer: Announcer::new(&config.name) }),
+        Ok(session) => {
+            let announcer = Announcer::new(&config.name);
+            Ok(Zenoh { session, announcer, is_client: mode == "client" })
+        }
         Err(error) => Err(why_not_open(mode, listen, connect, &without_places(&error))),
     }
 }
@@ -146,7 +151,7 @@ impl Bus for Zenoh {
             Delivery::State { history } => builder
                 .priority(Priority::Data)
                 .cache(CacheConfig::default().max_samples(history))
-                .sample_miss_detection(MissDetectionConfig::default().sporadic_heartbeat(HEARTBEAT))
+                .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT))
                 .publisher_detection()
                 .wait()
                 .map(|publisher| Sender::State(Box::new(publisher))),
@@ -201,8 +206,17 @@ impl Bus for Zenoh {
         let replies = self.session.liveliness().get(canonical(pattern)?).timeout(ANNOUNCED_WITHIN);
         let replies =
             replies.wait().map_err(|e| self.error(format!("cannot ask for {pattern}"), e))?;
-        let names = replies.iter().filter_map(|reply| reply.into_result().ok());
-        Ok(names.map(|sample| sample.key_expr().to_string()).collect())
+        let name = |reply: Reply| match reply.into_result() {
+            Ok(sample) => Ok(sample.key_expr().to_string()),
+            Err(_) => {
+                Err(BusError::transport(format!("cannot ask for {pattern}"), "no answer in time"))
+            }
+        };
+        replies.iter().map(name).collect()
+    }
+
+    fn is_connected(&self) -> bool {
+        !self.is_client || self.session.info().routers_zid().wait().next().is_some()
     }
 
     fn receivers(&self, below: &str) -> Result<Vec<Receiver>, BusError> {

@@ -113,7 +113,8 @@ pub(super) fn why_not_open(
     }
     let endpoints =
         if connect.is_empty() { "any multicast address".into() } else { connect.join(", ") };
-    BusError::NobodyAnswers { endpoints }
+    let tls = connect.iter().any(|endpoint| endpoint.starts_with("tls/"));
+    BusError::NobodyAnswers { endpoints, tls }
 }
 
 /// Whether an address of this host is in use.

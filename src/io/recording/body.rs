@@ -16,6 +16,11 @@ use crate::io::wire::{self, Topic, Topics, valid_name};
 /// Most known bodies of a folder: the others who enter need numbers too.
 const MOST_KNOWN: usize = 128;
 
+/// The file of a person in a folder of known bodies.
+pub fn body_file(folder: &Path, name: &str) -> PathBuf {
+    folder.join(format!("{name}.mcap"))
+}
+
 /// Writes a person's body to a folder of known bodies, as `NAME.mcap`. The folder is made if it is missing. `body` has
 /// the measured lengths, see [`wire::Skeleton::of_known`]. A file that is there is only replaced if told so: it may be
 /// of another person with this name. Returns the path of the file if it was written.
@@ -28,7 +33,7 @@ pub fn write_body(
     body: &wire::Skeleton,
     replace: bool,
 ) -> Result<Option<PathBuf>, RecordError> {
-    let path = folder.join(format!("{name}.mcap"));
+    let path = body_file(folder, name);
     if !replace && path.exists() {
         return Ok(None);
     }

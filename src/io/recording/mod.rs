@@ -25,7 +25,7 @@ mod tail;
 mod target;
 mod writer;
 
-pub use body::{body_files, known_people, last_body, write_body, write_body_file};
+pub use body::{body_file, body_files, known_people, last_body, write_body, write_body_file};
 pub use error::{Damage, RecordError, Report, Undecodable};
 pub use info::{CameraInfo, Info, TopicInfo, scan, summarise, summary};
 pub use message::{Entry, Message, RawEntry};

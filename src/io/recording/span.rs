@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions};
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
@@ -20,6 +21,8 @@ use crate::core::time::Timestamp;
 pub struct Spans {
     path: PathBuf,
     index: Option<Summary>,
+    /// Time of its last change, and its length.
+    stamp: Option<(SystemTime, u64)>,
 }
 
 impl Spans {
@@ -30,22 +33,28 @@ impl Spans {
     pub fn open(path: impl AsRef<Path>) -> Result<Self, RecordError> {
         let path = path.as_ref().to_owned();
         Reader::open(&path)?;
+        let stamp = stamp(&path);
         let read = RecordError::read(&path);
         let index = index(&mut File::open(&path).map_err(&read)?).map_err(&read)?;
         let index = index.filter(|index| !index.chunk_indexes.is_empty());
-        Ok(Self { index, path: path.clone() })
+        Ok(Self { index, stamp, path: path.clone() })
     }
 
     /// The messages whose log time is in `[from, to)` and whose topic is `wanted`, in the order of log time if the
     /// file has a good index. Damaged parts are left out.
     ///
     /// # Errors
-    /// The file cannot be read.
+    /// The file cannot be read, or has changed since it was opened.
     pub fn read(
         &self,
         [from, to]: [Timestamp; 2],
         wanted: impl Fn(&str) -> bool,
     ) -> Result<Vec<RawEntry>, RecordError> {
+        // Without an index the file may grow meanwhile.
+        if self.index.is_some() && stamp(&self.path) != self.stamp {
+            let changed = io::Error::other("it has changed since it was opened; open it again");
+            return Err(RecordError::read(&self.path)(changed));
+        }
         let indexed = self.index.as_ref().map(|index| self.by_index(index, [from, to], &wanted));
         if let Some(all) = indexed.transpose()?.flatten() {
             return Ok(all);
@@ -115,6 +124,11 @@ impl Spans {
     }
 }
 
+fn stamp(path: &Path) -> Option<(SystemTime, u64)> {
+    let about = std::fs::metadata(path).ok()?;
+    Some((about.modified().ok()?, about.len()))
+}
+
 /// The index at the end of a file; `None` if there is none, or it is damaged.
 fn index(file: &mut File) -> io::Result<Option<Summary>> {
     let options = SummaryReaderOptions::default().with_record_length_limit(RECORD_LIMIT);
@@ -125,7 +139,11 @@ fn index(file: &mut File) -> io::Result<Option<Summary>> {
                 let read = file.read(reader.insert(count))?;
                 reader.notify_read(read);
             }
-            Ok(SummaryReadEvent::SeekRequest(to)) => reader.notify_seeked(file.seek(to)?),
+            Ok(SummaryReadEvent::SeekRequest(to)) => match file.seek(to) {
+                Ok(at) => reader.notify_seeked(at),
+                // It is shorter than the end of an index.
+                Err(_) => return Ok(None),
+            },
             Err(McapError::Io(error)) => return Err(error),
             Err(_) => return Ok(None),
         }

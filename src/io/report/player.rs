@@ -153,8 +153,8 @@ impl Player {
             }
             page += "</ol>";
         }
-        // `</` would end the element.
-        let take = take.to_string().replace("</", "<\\/");
+        // `</` and `<!--` would mean something to the page.
+        let take = take.to_string().replace('<', "\\u003c");
         let _ = write!(
             page,
             "</section>\n<script type=\"application/json\" id=\"take\">{take}</script>"

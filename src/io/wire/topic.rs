@@ -304,20 +304,25 @@ impl fmt::Display for ActorChannel<'_> {
 
 /// Why a name cannot be part of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{name:?} cannot be a part of a topic; use letters, digits, `-`, `_` and `.`")]
+#[error(
+    "{name:?} cannot be a part of a topic; use up to {MOST_NAME} letters, digits, `-`, `_` and `.`"
+)]
 pub struct NameError {
     /// The name.
     pub name: String,
 }
 
-/// Checks a name for a stage, an actor or a skeleton: one or more ASCII letters, digits, `-`, `_`
+/// Most characters of a name.
+const MOST_NAME: usize = 64;
+
+/// Checks a name for a stage, an actor or a skeleton: 1 to 64 ASCII letters, digits, `-`, `_`
 /// and `.`.
 ///
 /// # Errors
 /// Any other name.
 pub fn valid_name(name: &str) -> Result<(), NameError> {
     let is_allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-    if !name.is_empty() && name.chars().all(is_allowed) {
+    if (1..=MOST_NAME).contains(&name.len()) && name.chars().all(is_allowed) {
         return Ok(());
     }
     Err(NameError { name: name.to_owned() })

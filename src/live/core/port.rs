@@ -91,10 +91,19 @@ pub enum Output {
     },
     /// The body of a performer with a name, for the folder of known bodies.
     Body {
+        /// The performer.
+        performer: PerformerId,
         /// The name.
         name: String,
         /// The body, with the measured lengths.
         body: wire::Skeleton,
+    },
+    /// A performer has another name: the folder of known bodies needs none under this one, if it is that performer's.
+    NameGone {
+        /// The performer.
+        performer: PerformerId,
+        /// The name so far.
+        name: String,
     },
     /// Asks for an [`Input::Tick`] at this time of the node's clock, unless another input comes
     /// later than that. Replaces the time asked for before.

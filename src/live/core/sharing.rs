@@ -182,7 +182,9 @@ impl Core {
             Ok(checked) => checked,
             Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
         };
-        self.note_arrivals(&set.frames);
+        let last = self.sharing.performers.get(&performer).and_then(|shared| shared.last);
+        let is_back = last.is_some_and(|last| last.complete - set.complete > BACK);
+        self.note_arrivals(&set.frames, is_back);
         *self.label_mut(performer.0) = message.label.unwrap_or_default();
         let (run_id, number, complete) = (message.run_id, message.number, set.complete);
         self.sharing.complete = complete;
@@ -231,8 +233,9 @@ impl Core {
         Ok((performer, set))
     }
 
-    /// Compares the cameras' clock with the node's: each frame comes with the sets of several performers.
-    fn note_arrivals(&mut self, frames: &[Detections]) {
+    /// Compares the cameras' clock with the node's: each frame comes with the sets of several performers. `is_back`: the
+    /// times of this performer's sets went back. After a pause, the sets of one performer come before those of the next.
+    fn note_arrivals(&mut self, frames: &[Detections], is_back: bool) {
         // Who enters brings frames of some time before.
         let is_newest = |frame: &&Detections| {
             frames
@@ -241,7 +244,7 @@ impl Core {
         };
         for frame in frames.iter().filter(is_newest) {
             let newest = self.sharing.newest.entry(frame.camera).or_insert(frame.capture);
-            let is_back = *newest - frame.capture > BACK;
+            let is_back = is_back && *newest - frame.capture > BACK;
             if frame.capture > *newest || is_back {
                 *newest = frame.capture;
                 self.arrive(frame, Nanos::ZERO);

@@ -6,7 +6,7 @@
 //! replay of the take needs nothing of the time before.
 
 use super::Core;
-use super::port::{Carried, Settings, as_replayed};
+use super::port::{Carried, Output, Settings, as_replayed};
 use super::publication::Content;
 use crate::core::stage::{PerformerId, Stage};
 use crate::core::time::Timestamp;
@@ -57,6 +57,8 @@ impl Core {
         }
         // The front answers for solvers.
         match &*take.action {
+            // It may have come during the take.
+            "stop" if self.is_solver() && self.running.is_empty() => return,
             "start" | "stop" => {}
             "reset" | "label" | "lock" | "unlock" if self.is_solver() => {
                 let _ = self.follow(&take);
@@ -153,6 +155,10 @@ impl Core {
         let before = before.map_err(|error| error.to_string())?;
         before.into_iter().chain([PerformerId(number)]).for_each(|one| self.use_name(one));
         self.is_changed = true;
+        if new_name != name && !self.bodies_folder().is_empty() {
+            let performer = PerformerId(number);
+            self.outputs.push_back(Output::NameGone { performer, name: name.clone() });
+        }
         self.put_out_bodies();
         Ok(format!("{name} is {new_name} from now on"))
     }

@@ -23,7 +23,8 @@ pub(crate) fn advice(kind: &str) -> Option<&'static str> {
         "deadline" => "windows close without a camera's frames; check its rate and its delay",
         "overdue" => "poses are extrapolated; raise latency_ms, or use fewer cameras",
         "dropped" => {
-            "messages come faster than they are read; use fewer cameras, or a faster computer"
+            "messages were lost: the network is slow or was cut, or they come faster than they are read; use fewer \
+             cameras, or a faster computer"
         }
         "nobody_found" => "no two cameras see a person; check the volume, or the calibration",
         "coasted" => "too little of the performer is seen",

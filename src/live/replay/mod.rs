@@ -367,7 +367,10 @@ impl<'a> Run<'a> {
                     schema: publication.content.schema().into(),
                     payload: publication.content.encode(),
                 }),
-                Output::Wake(_) | Output::Mended { .. } | Output::Body { .. } => {}
+                Output::Wake(_)
+                | Output::Mended { .. }
+                | Output::Body { .. }
+                | Output::NameGone { .. } => {}
             }
         }
     }

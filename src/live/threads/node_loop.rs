@@ -10,6 +10,7 @@ use super::outlet::Outlet;
 use super::playout::Playout;
 use super::queue::{Intake, Message};
 use super::solvers::{Answer, Solvers};
+use crate::core::stage::PerformerId;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{Guard, Sample};
 use crate::io::wire::{Rig, Schema, Skeleton, Topic, decode, media_type};
@@ -57,8 +58,8 @@ pub(crate) struct NodeLoop {
     pub(crate) rig_topic: String,
     /// Calibrations with a mended camera, each with the version of the one before; for the file.
     pub(crate) mended: Sender<(Rig, u64)>,
-    /// Names and bodies, for the folder of known bodies.
-    pub(crate) bodies: Sender<(String, Skeleton)>,
+    /// Performers with their names and bodies, for the folder of known bodies; `None`: the performer has another name.
+    pub(crate) bodies: Sender<(PerformerId, String, Option<Skeleton>)>,
     pub(crate) progress: Progress,
 }
 
@@ -234,14 +235,19 @@ impl NodeLoop {
                 Output::Mended { rig, instead_of } => {
                     let _ = self.mended.try_send((rig, instead_of));
                 }
-                Output::Body { name, body } => {
-                    if self.bodies.try_send((name, body)).is_err() {
-                        tracing::warn!("a body is not written: the disk is too slow");
-                    }
+                Output::Body { performer, name, body } => {
+                    self.change_body(performer, name, Some(body));
                 }
+                Output::NameGone { performer, name } => self.change_body(performer, name, None),
             }
         }
         self.progress.events.end_seconds(now);
+    }
+
+    fn change_body(&self, performer: PerformerId, name: String, body: Option<Skeleton>) {
+        if self.bodies.try_send((performer, name, body)).is_err() {
+            tracing::warn!("the folder of known bodies is not up to date: the disk is too slow");
+        }
     }
 
     fn publish(&mut self, publication: Publication, now: Timestamp) {

@@ -19,6 +19,8 @@ pub(crate) struct Outlet {
     bus: Arc<dyn Bus>,
     lines: HashMap<Arc<str>, Line>,
     failures: Arc<AtomicU64>,
+    /// What is later than this is not published.
+    most_late: Option<Nanos>,
     unsaid: u64,
     quiet_until: Timestamp,
 }
@@ -33,7 +35,13 @@ impl Outlet {
     /// Publishes on `bus`; `failures` counts messages that could not be published.
     pub(crate) fn new(bus: Arc<dyn Bus>, failures: Arc<AtomicU64>) -> Self {
         let quiet_until = Timestamp::default();
-        Self { bus, lines: HashMap::new(), failures, unsaid: 0, quiet_until }
+        Self { bus, lines: HashMap::new(), failures, most_late: None, unsaid: 0, quiet_until }
+    }
+
+    /// Does not publish what is that late: another node does so by then. It counts as a failure.
+    #[must_use]
+    pub(crate) fn up_to(self, most_late: Option<Nanos>) -> Self {
+        Self { most_late, ..self }
     }
 
     /// Opens a topic in advance, so that the first message does not wait for it.
@@ -47,13 +55,22 @@ impl Outlet {
         Ok(())
     }
 
-    /// Publishes a message.
-    pub(crate) fn put(&mut self, publication: &Publication, now: Timestamp) {
-        if let Err(error) = self.try_put(publication, now) {
+    /// Publishes a message. Returns whether that was done.
+    pub(crate) fn put(&mut self, publication: &Publication, now: Timestamp) -> bool {
+        let is_over = |most| publication.due.is_some_and(|due| now - due > most);
+        let put = match self.most_late.is_some_and(is_over) {
+            true => Err(Some("it is seconds late: another solver may go on by now".to_owned())),
+            false => {
+                self.try_put(publication, now).map_err(|error| error.map(|error| error.to_string()))
+            }
+        };
+        let is_put = put.is_ok();
+        if let Err(why) = put {
             self.failures.fetch_add(1, Ordering::Relaxed);
             self.unsaid += 1;
-            self.complain(&publication.topic, error.as_ref(), now);
+            self.complain(&publication.topic, why, now);
         }
+        is_put
     }
 
     /// Fails without an error until it is time to try the topic again.
@@ -80,13 +97,13 @@ impl Outlet {
         publisher.put(publication.capture, encoding, &publication.content.encode()).map_err(Some)
     }
 
-    fn complain(&mut self, topic: &str, error: Option<&BusError>, now: Timestamp) {
+    fn complain(&mut self, topic: &str, why: Option<String>, now: Timestamp) {
         if now < self.quiet_until {
             return;
         }
-        let Some(error) = error else { return };
+        let Some(why) = why else { return };
         self.quiet_until = now + PATIENCE;
-        tracing::warn!(topic, messages = self.unsaid, "cannot publish: {error}");
+        tracing::warn!(topic, messages = self.unsaid, "cannot publish: {why}");
         self.unsaid = 0;
     }
 }
@@ -161,6 +178,19 @@ mod tests {
         let expected = [1, 2].map(|w| format!("7 application/protobuf;bundlemocap.v1.Pose {w}"));
         assert_eq!(*bus.put.lock().unwrap(), expected);
         assert_eq!(failures.load(Ordering::Relaxed), 1);
+    }
+
+    #[test]
+    fn what_is_too_late_is_counted_and_not_published() {
+        let (bus, failures) = (Fake::default(), Arc::new(AtomicU64::new(0)));
+        let most = Some(Nanos::from_ms(2000));
+        let mut outlet = Outlet::new(Arc::new(bus.clone()), Arc::clone(&failures)).up_to(most);
+        let due = Timestamp::from_ns(5_000_000_000);
+        for late in [0, 1999, 2001] {
+            let publication = Publication { due: Some(due), ..publication("a", 1) };
+            outlet.put(&publication, due + Nanos::from_ms(late));
+        }
+        assert_eq!((bus.put.lock().unwrap().len(), failures.load(Ordering::Relaxed)), (2, 1));
     }
 
     #[test]

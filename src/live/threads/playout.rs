@@ -154,8 +154,9 @@ impl Playout {
     ) {
         let mut deviations = Deviations::default();
         while let Some((due, publication)) = self.wait(clock, &mut deviations, played) {
-            outlet.put(&publication, clock.now());
-            deviations.record(due, clock.now());
+            if outlet.put(&publication, clock.now()) {
+                deviations.record(due, clock.now());
+            }
         }
         let rest = deviations.take();
         if !rest.is_empty() {

@@ -13,6 +13,8 @@ pub struct RigFile {
     up: Up,
     stamp: Option<Stamp>,
     version: u64,
+    /// Checks in a row that found no file.
+    missing: u32,
 }
 
 /// Time of the last change, and length of the file.
@@ -25,7 +27,7 @@ impl RigFile {
     /// # Errors
     /// As [`read_calibration`].
     pub fn open(path: PathBuf, given: Convention) -> Result<(Self, Vec<u8>), ImportError> {
-        let mut file = Self { path, given, up: Up::default(), stamp: None, version: 0 };
+        let mut file = Self { path, given, up: Up::default(), stamp: None, version: 0, missing: 0 };
         file.stamp = file.look();
         let rig = file.read()?;
         file.version = rig.version;
@@ -43,7 +45,12 @@ impl RigFile {
     /// As [`read_calibration`]; the previous calibration stays valid.
     pub fn changed(&mut self) -> Result<Option<Vec<u8>>, ImportError> {
         let stamp = self.look();
-        // A missing file is just being replaced; the next check finds it.
+        // A missing file may just be being replaced; then the next check finds it.
+        self.missing = if stamp.is_some() { 0 } else { self.missing.saturating_add(1) };
+        if self.missing == 2 {
+            let path = self.path.display();
+            tracing::warn!("{path} is gone; the calibration that was read from it stays in use");
+        }
         if stamp.is_none() || stamp == self.stamp {
             return Ok(None);
         }

@@ -17,6 +17,8 @@ use super::presence::Presence;
 use super::queue::{Intake, MOST_A_SECOND, MOST_OF_ALL, Message};
 use super::rig_file::RigFile;
 use super::solvers::Solvers;
+use crate::core::stage::PerformerId;
+use crate::core::time::Nanos;
 use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
 use crate::io::wire::{
@@ -39,6 +41,9 @@ const BATCHES: usize = 64;
 /// Most calibrations that wait to be written.
 const MENDED: usize = 64;
 
+/// The others take over the performers of a solver that says nothing, after three seconds. A pose that is this late may come
+/// from them.
+const TAKEN_OVER: Nanos = Nanos::from_ms(2000);
 /// Most bodies that wait to be written.
 const BODIES: usize = 64;
 
@@ -124,14 +129,20 @@ impl Node {
             "" => never(),
             path => watch_rig(path.into(), config, (looking, to_write), &mut threads)?,
         };
-        let (bodies, to_keep) = bounded::<(String, Skeleton)>(BODIES);
+        let (bodies, to_keep) = bounded::<(PerformerId, String, Option<Skeleton>)>(BODIES);
         if !core.bodies_folder().is_empty() {
             let mut folder = BodiesFolder::new(core.bodies_folder().into());
-            let work = move || to_keep.iter().for_each(|(name, body)| folder.keep(&name, &body));
+            let work = move || {
+                to_keep
+                    .iter()
+                    .for_each(|(performer, name, body)| folder.change(performer, &name, body));
+            };
             threads.push(("bodies", thread("bodies").spawn(work).map_err(NodeError::Thread)?));
         }
         let playout = Arc::<Playout>::default();
-        let played = start_playout(&bus, &topics, clock, &playout, &board, &mut threads)?;
+        let most_late = config.solver.then_some(TAKEN_OVER);
+        let played =
+            start_playout(&bus, &topics, clock, &playout, &board, most_late, &mut threads)?;
         let solve = |mut solver: Solver| move |job: &Job| solver.solve(job);
         let solvers = solvers.into_iter().map(solve).collect();
         let (jobs, answers) = Solvers::start(solvers, solver_core, &mut threads)?;
@@ -209,9 +220,14 @@ impl Running {
     /// connected while both ran.
     ///
     /// # Errors
-    /// The bus is closed.
+    /// The bus is closed, or does not answer in time.
     pub fn elder(&self) -> Result<Option<Elder>, NodeError> {
         Ok(self.presence.elder()?)
+    }
+
+    /// As [`Bus::is_connected`].
+    pub fn is_connected(&self) -> bool {
+        self.presence.is_connected()
     }
 
     /// As [`Presence::stand_back`].
@@ -300,9 +316,10 @@ fn start_playout(
     clock: WallClock,
     playout: &Arc<Playout>,
     board: &Board,
+    most_late: Option<Nanos>,
     threads: &mut Vec<(&'static str, JoinHandle<()>)>,
 ) -> Result<Receiver<Vec<i32>>, NodeError> {
-    let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
+    let mut outlet = Outlet::new(Arc::clone(bus), board.failures()).up_to(most_late);
     outlet.open(&topics.pose(), Pose::FULL_NAME)?;
     let (sender, played) = bounded(BATCHES);
     let playout = Arc::clone(playout);

@@ -1,10 +1,13 @@
 """2D keypoints of calibrated cameras in, smooth 3D poses out.
 
 The world is right-handed, in metres, y up. Joints are in the order of `JOINTS`. Times are nanoseconds.
-Errors are raised as `Error`, with the file, the field and the fix.
+Arrays of attributes are read-only: change a copy, and make a new object of it.
+Errors are raised as `Error`, with the file, the field and the fix; arguments of a wrong type are a `TypeError`.
+What may be wrong with a file, or could not be read, is a warning.
 """
 
 import os
+from collections.abc import Mapping
 from typing import Any, Literal, Self, final
 
 import numpy as np
@@ -49,7 +52,8 @@ class Error(Exception):
 @final
 class Camera:
     """A calibrated camera. `matrix`: 3 x 3, pixels. `rotation` (3 x 3) and `translation` (3, metres): from the
-    world to the camera, as in OpenCV. `distortion`: OpenCV's 4, 5 or 8 numbers, or 4 of a fisheye."""
+    world to the camera, as in OpenCV. `distortion`: OpenCV's 4, 5 or 8 numbers, or 4 of a fisheye. `time_offset_ns`:
+    added to the times of its keypoints."""
 
     @property
     def name(self) -> str: ...
@@ -65,6 +69,8 @@ class Camera:
     def distortion(self) -> NDArray[np.float64]: ...
     @property
     def is_fisheye(self) -> bool: ...
+    @property
+    def time_offset_ns(self) -> int: ...
 
     def __new__(
         cls,
@@ -75,9 +81,10 @@ class Camera:
         translation: NDArray[np.float64],
         distortion: NDArray[np.float64] | list[float] | None = None,
         fisheye: bool = False,
+        time_offset_ns: int = 0,
     ) -> Self: ...
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pixels (n x 2) of places (n x 3, metres); NaN where the camera cannot see one."""
+        """Pixels (n x 2) of places (n x 3, metres); NaN where the camera cannot see one. The array is yours."""
 
 @final
 class Rig:
@@ -88,16 +95,25 @@ class Rig:
 
     def __new__(cls, cameras: list[Camera]) -> Self: ...
     @staticmethod
-    def read(path: _Path, up: str = "auto", unit: str = "auto") -> Rig:
+    def read(
+        path: _Path,
+        up: str = "auto",
+        unit: str = "auto",
+        poses: str = "auto",
+        set: str | None = None,
+    ) -> Rig:
         """Reads a calibration of any kind that `bundlemocap rig --help` lists. `up`: the axis of its world that
-        points up (x, y, z, -x, -y, -z); `unit`: m, cm, mm, in, ft."""
+        points up (x, y, z, -x, -y, -z); `unit`: m, cm, mm, in, ft; `poses`: camera-from-world, as in OpenCV, or
+        world-from-camera; `set`: of several poses of the cameras in the file, those under this name."""
     def write(self, path: _Path, up: str = "z") -> None:
         """Writes TOML in metres, as Pose2Sim has it."""
 
 @final
 class Keypoints:
     """The detections of one camera. `points`: frames x people x points x 3 numbers, x and y in pixels and the
-    confidence. A point with confidence 0 or NaN was not seen. With one person the axis of people may be left out."""
+    confidence. A point that has confidence 0, is NaN or masked was not seen; people without any point are left out.
+    With one person the axis of people may be left out. `frames`: the numbers of the images, so that lost ones are known;
+    default: 0, 1, ... in order of time. `size`: width and height of the images, pixels; `None`: of the calibration."""
 
     @property
     def format(self) -> _Format: ...
@@ -105,24 +121,35 @@ class Keypoints:
     def times_ns(self) -> NDArray[np.int64]: ...
     @property
     def points(self) -> NDArray[np.float64]: ...
+    @property
+    def frames(self) -> NDArray[np.int64]: ...
+    @property
+    def size(self) -> tuple[int, int] | None: ...
 
     def __new__(
-        cls, times_ns: NDArray[np.int64], points: NDArray[np.float64], format: _Format
+        cls,
+        times_ns: NDArray[np.int64],
+        points: NDArray[np.float64],
+        format: _Format,
+        *,
+        frames: NDArray[np.int64] | None = None,
+        size: tuple[int, int] | None = None,
     ) -> Self: ...
 
 @final
 class Recording:
-    """The calibration and the detections of a take; `keypoints` by name of the camera."""
+    """The calibration and the detections of a take; `keypoints` by name of the camera. Without one of the cameras:
+    `Recording(take.rig, {name: of for name, of in take.keypoints.items() if name != "cam03"})`."""
 
     @property
     def rig(self) -> Rig: ...
     @property
-    def keypoints(self) -> dict[str, Keypoints]: ...
+    def keypoints(self) -> Mapping[str, Keypoints]: ...
 
-    def __new__(cls, rig: Rig, keypoints: dict[str, Keypoints]) -> Self: ...
+    def __new__(cls, rig: Rig, keypoints: Mapping[str, Keypoints]) -> Self: ...
     @staticmethod
     def read(path: _Path) -> Recording:
-        """Reads a recording (.mcap)."""
+        """Reads a recording (.mcap). Cameras without calibration are left out, with a warning."""
     def write(self, path: _Path) -> None:
         """Writes a recording; a file that is there is replaced. It holds the rig and the keypoints: other messages
         and the metadata (settings, timecode) of a file that was read are not kept."""
@@ -227,13 +254,16 @@ class Tracker:
         performers: int | Literal["auto"] | None = None,
         config: _Path | None = None,
     ) -> Self: ...
-    def add(self, camera: str, time_ns: int, points: NDArray[np.float64]) -> list[Pose]:
+    def add(
+        self, camera: str, time_ns: int, points: NDArray[np.float64], frame: int | None = None
+    ) -> list[Pose]:
         """Adds what a camera detected: (people x) points x 3 numbers, as in `Keypoints`; returns the poses that
-        are new. Frames of a camera come in order of time."""
+        are new. Frames of a camera come in order of time. `frame`: the number of the image, so that lost ones are
+        known; default: one more than the last."""
     def end(self) -> list[Pose]:
         """The last poses; nothing may be added after it."""
     def take_events(self) -> list[str]:
-        """What happened since the last call, such as a performer who was lost."""
+        """What happened since the last call, such as a performer who was lost: performer, kind, camera, details."""
 
 def main() -> None:
     """Runs the program with `sys.argv`, and ends the process."""

@@ -5,7 +5,7 @@ import { Template } from "./body.js";
 import { Charts } from "./charts.js";
 import { colour } from "./colours.js";
 import { Figures } from "./figures.js";
-import { RANK, cameraLight, levelOf, nodeLight, setExpected } from "./lights.js";
+import { RANK, cameraLight, isNodeSilent, levelOf, nodeLight, setExpected, strangers } from "./lights.js";
 import { NEXT, inLoop, press } from "./loop.js";
 import { Decoder } from "./messages.js";
 import { Panes, drawOver } from "./panes.js";
@@ -37,6 +37,7 @@ fetchTemplate();
 const panes = new Panes($("panes"), (name) => lookThrough(view.through?.lens.name === name ? undefined : name));
 /** The scene as a camera sees it, or free again. */
 function lookThrough(name) {
+  if (view.error) return;
   const lens = view.lenses?.find((one) => one.name === name);
   view.lookThrough(lens && new Through(lens));
   panes.setThrough(lens?.name);
@@ -83,6 +84,7 @@ const drawn = (people) => people.filter(({ name }) => !hidden.has(name));
 /** The performers at a time, as scene and panes draw them. */
 function peopleAt(time, channel) {
   const people = [];
+  const unknown = isLive && chosen.playing && isNodeSilent(store) ? { state: "lost" } : {};
   for (const one of store.performers.values()) {
     const pose = one[channel].shown(time);
     if (!pose) continue;
@@ -91,7 +93,7 @@ function peopleAt(time, channel) {
     if (parents.length * 3 !== pose.joints.length) continue;
     const points = one.points.shown(time);
     const skin = pose.rotations.length === 4 * parents.length ? one.skin : undefined;
-    people.push({ ...pose, ...lookOf(one), points, skin, parents, head });
+    people.push({ ...pose, ...unknown, ...lookOf(one), points, skin, parents, head });
   }
   return people;
 }
@@ -201,7 +203,9 @@ function recordingLight() {
 }
 
 function showCameras() {
-  const names = new Set([...(store.rig?.cameras.map(({ name }) => name) ?? []), ...store.keypoints.keys()]);
+  // With a calibration the page asks for its cameras alone; of others the node tells.
+  const found = isLive && store.rig ? strangers(store) : store.keypoints.keys();
+  const names = new Set([...(store.rig?.cameras.map(({ name }) => name) ?? []), ...found]);
   const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Infinity : chosen.time, about.advice, isLive && panes.inSight.has(name)) }));
   lights.sort((a, b) => RANK[b.level] - RANK[a.level]);
   const items = lights.map(({ name, level, words, advice, counters }) => {
@@ -248,7 +252,9 @@ function performerRow(name) {
   const [row, words] = [element("div", "", "row"), element("div", "locked: Reset body does not change it", "words")];
   edit.hidden = !isLive;
   who.append(swatch, shown);
-  row.append(who, state, edit, hide);
+  const tools = element("span", "", "tools");
+  tools.append(state, edit, hide);
+  row.append(who, tools);
   item.append(row, words);
   return { item, swatch, shown, state, who, edit, hide, words };
 }
@@ -267,7 +273,8 @@ function showPerformers(people) {
     if (!row.item.isConnected) $("performers").append(row.item);
     const life = ["lost", "left"].find((life) => isLive && store.lifeOf(name) === life);
     const live = isLive ? store.statusOf.get(name)?.tracker_state : undefined;
-    setText(row.state, life ?? people.find((shownNow) => shownNow.name === name)?.state ?? live ?? "no pose");
+    const silent = isLive && isNodeSilent(store) ? "no news" : undefined;
+    setText(row.state, silent ?? life ?? people.find((shownNow) => shownNow.name === name)?.state ?? live ?? "no pose");
     row.state.className = `light ${LEVELS[row.state.textContent] ?? "unknown"}`;
     setText(row.shown, shown);
     setText(row.hide, hidden.has(name) ? "show" : "hide");
@@ -420,8 +427,9 @@ function liveRuns({ times, items }) {
 }
 
 function emptyState(people) {
+  if (source.error && (people.length === 0 || !source.connected)) return source.error;
+  if (view.error) return view.error;
   if (people.length > 0) return "";
-  if (source.error) return source.error;
   if (!isLive) return store.performers.size === 0 ? "This recording has no poses.\nRun `bundlemocap solve` on it." : "";
   if (!source.connected) return "No connection. It is tried again.";
   if (performance.now() - opened < 2500) return "";
@@ -466,8 +474,9 @@ function play(on, from) {
 }
 
 function goTo(time) {
+  const [start, end] = source.span;
   chosen.playing = false;
-  chosen.time = time;
+  chosen.time = Math.min(Math.max(time, start), end);
   remember();
 }
 
@@ -540,7 +549,16 @@ $("all").addEventListener("click", showAll);
 $("bodies").addEventListener("click", () => showBodies(!view.showSkins));
 $("provisional").addEventListener("click", () => showProvisional(!chosen.provisional));
 $("provisional").setAttribute("aria-pressed", String(chosen.provisional));
-$("keys").addEventListener("click", () => $("help").showModal());
+function help() {
+  $("help").showModal();
+  $("keys").setAttribute("aria-expanded", "true");
+}
+$("keys").addEventListener("click", help);
+$("help").addEventListener("close", () => $("keys").setAttribute("aria-expanded", "false"));
+// Space and arrows are for the picture, not for the button that a pointer has pressed last.
+addEventListener("click", ({ detail, target }) => {
+  if (detail > 0 && !target.closest("dialog")) target.closest("button")?.blur();
+}, { capture: true });
 $("loop").hidden = isLive;
 addEventListener("hashchange", goToHash);
 
@@ -579,12 +597,21 @@ const KEYS = {
   m: () => showBodies(!view.showSkins),
   p: () => showProvisional(!chosen.provisional),
   l: loop,
-  "?": () => $("help").showModal(),
+  "?": help,
+};
+/** Keys of the timeline. */
+const LONG_STEP = 1;
+const OF_TIMELINE = {
+  Home: () => goTo(source.span[0]),
+  End: () => (isLive ? play(true) : goTo(source.span[1])),
+  PageUp: () => goTo(chosen.time + LONG_STEP),
+  PageDown: () => goTo(chosen.time - LONG_STEP),
 };
 addEventListener("keydown", (event) => {
   const { key, target, ctrlKey, metaKey, altKey } = event;
   if (ctrlKey || metaKey || altKey || target.closest("input, select, dialog") || (key === " " && target.closest("button"))) return;
-  const act = /^[0-9]$/.test(key) ? () => lookThrough(store.rig?.cameras[Number(key) - 1]?.name) : KEYS[key.length === 1 ? key.toLowerCase() : key];
+  const keys = target === bar ? { ...KEYS, ...OF_TIMELINE } : KEYS;
+  const act = /^[0-9]$/.test(key) ? () => lookThrough(store.rig?.cameras[Number(key) - 1]?.name) : keys[key.length === 1 ? key.toLowerCase() : key];
   if (!act) return;
   event.preventDefault();
   act();

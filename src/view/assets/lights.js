@@ -161,6 +161,20 @@ export function cameraLight(store, name, now, advice, isAsked) {
   return { ...light, counters };
 }
 
+/** After this time without a status, ms, nobody knows what the node does. */
+const UNKNOWN = 3000;
+
+/** Whether there was a status of the node, and there is none any more. */
+export const isNodeSilent = (store) => store.statusCame !== undefined && performance.now() - store.statusCame > UNKNOWN;
+
+/** The cameras without a calibration of which the node told in the last seconds. */
+export function strangers(store) {
+  const now = store.historyAt(Infinity).at(-1)?.seconds ?? store.newest;
+  const isKnown = (name) => store.rig.cameras.some((camera) => camera.name === name);
+  const late = store.events.slice(-200).filter(({ kind, camera, at }) => kind === "unusable" && camera && now - at < KEPT);
+  return store.rig ? [...new Set(late.map(({ camera }) => camera))].filter((name) => !isKnown(name)) : [];
+}
+
 /** The light of the node, of what it says of itself. */
 export function nodeLight(store, connected) {
   const light = new Light("ok");
@@ -171,7 +185,7 @@ export function nodeLight(store, connected) {
     return light;
   }
   const age = (performance.now() - store.statusCame) / 1000;
-  if (age > 3) light.add("bad", `no status for ${age.toFixed(0)} s: the node is stopped or not reached`);
+  if (isNodeSilent(store)) light.add("bad", `no status for ${age.toFixed(0)} s: the node is stopped or not reached`);
   if (history.length > 1) {
     const missed = recent(history, (status) => status.playout?.missed);
     if (missed > 0) light.add("bad", `${counted(missed, "pose")} too late in 5 s`);

@@ -122,6 +122,8 @@ export class Recording {
     this.provisional = false;
     /** Number of parts that are being read. */
     this.reading = 0;
+    /** After an error, when to read again (page's clock, ms). */
+    this.pauseUntil = 0;
     for (const event of overview.events) store.addEvent({ ...event, run: BigInt(event.run) });
     for (const name of Object.keys(overview.performers)) store.performer(name);
     this.read(0, "");
@@ -156,7 +158,8 @@ export class Recording {
       [this.connected, this.error] = [true, ""];
     } catch (error) {
       this.parts.delete(part);
-      [this.connected, this.error] = [false, String(error)];
+      [this.connected, this.error] = [false, error.message];
+      this.pauseUntil = performance.now() + 1000;
     } finally {
       this.reading--;
     }
@@ -164,6 +167,7 @@ export class Recording {
 
   /** Reads the parts around a time, once each, and forgets others. */
   prepare(time) {
+    if (performance.now() < this.pauseUntil) return;
     const now = Math.floor(time / PART);
     for (const part of [now, now + 1, now - 1, now + 2]) {
       if (part < 0 || part * PART > this.overview.seconds || this.parts.has(part)) continue;

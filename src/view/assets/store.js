@@ -241,24 +241,25 @@ export class Store {
   takeStatus(name, status, arrival) {
     this.statusOf.set(name, status);
     if (name === this.guess) this.node = this.judged = name;
-    if (status.cameras.length === 0 || name !== this.judged) return;
+    // Before a calibration the node has no cameras; in a recording, other statuses have none.
+    if (name !== this.judged || (status.cameras.length === 0 && this.node === undefined)) return;
     this.statusCame = performance.now();
     this.apart = Math.min(this.apart, Math.abs(Date.now() - Number(status.node_time_ns ?? 0n) / 1e6));
     const seconds = this.seconds(status.capture_time_ns ?? 0n);
     this.statuses.add(this.clock(arrival), { at: Number(arrival) / 1e9, seconds, status });
   }
 
-  /** The take that runs, by the node's newest status, and for how many seconds; `undefined`: none. */
+  /** The take that runs, by the node's newest status, and for how many seconds it has had frames; `undefined`: none. */
   get runningTake() {
     const { take: name, take_since_ns: since = 0n, node_time_ns: now = 0n } = this.statuses.items.at(-1)?.status ?? {};
     if (!name) return undefined;
-    const seconds = since > 0n ? Number(now - since) / 1e9 + (performance.now() - this.statusCame) / 1000 : 0;
+    const seconds = since > 0n ? Number(now - since) / 1e9 + (performance.now() - this.statusCame) / 1000 : undefined;
     return { name, seconds };
   }
 
-  /** The least free space on a recorder's disk, bytes; `undefined`: none said it in the last 25 s. */
+  /** The least free space on a recorder's disk, bytes; `undefined`: none said it in the last 12 s. */
   get freeSpace() {
-    const said = this.disks.filter(({ at }) => performance.now() - at < 25_000);
+    const said = this.disks.filter(({ at }) => performance.now() - at < 12_000);
     return said.length > 0 ? Math.min(...said.map(({ bytes }) => bytes)) : undefined;
   }
 

@@ -17,6 +17,10 @@ const ANSWERERS = { start: ["node", "recorder"], stop: ["node", "recorder"], not
 export function takes(store, source, lookOf, floorAt) {
   let [sent, answers] = [undefined, []];
   const commands = (...all) => {
+    if (!source.connected) {
+      [sent, answers] = [undefined, [{ role: "not sent", text: "no connection" }]];
+      return;
+    }
     const ids = all.map(([action, name, more]) => BigInt(source.command(action, name, more)));
     sent = { ids, action: all[0][0], name: all[0][1], at: performance.now() };
     answers = [];
@@ -31,15 +35,20 @@ export function takes(store, source, lookOf, floorAt) {
   $("take").hidden = false;
   $("take").addEventListener("submit", (event) => {
     event.preventDefault();
-    if (running()) command("stop", running().name);
+    // A double click is one.
+    if (performance.now() - (sent?.at ?? -Infinity) < 400) return;
+    // What the button shows: another page may have ended the take since then.
+    if (shown) command("stop", shown);
     else command("start", $("take-name").value);
   });
   $("reset").addEventListener("click", () => command("reset"));
   // Name of the take that runs, or of the last one; and the take whose next name is in the field.
   let [noteTake, followed] = [undefined, undefined];
+  // The take that the button ends.
+  let shown;
   const sendNote = (mark) => {
     // The text stays until it can be sent.
-    if (!source.connected) return;
+    if (!source.connected || (!mark && !$("note").value.trim())) return;
     command("note", noteTake, { mark, note: $("note").value });
     $("note").value = "";
   };
@@ -104,14 +113,17 @@ export function takes(store, source, lookOf, floorAt) {
       followed = noteTake;
       $("take-name").value = next(noteTake);
     }
+    shown = take?.name;
+    $("record").disabled = !source.connected;
     $("record").setAttribute("aria-pressed", String(take !== undefined));
-    const seconds = take && Math.floor(take.seconds);
-    const clock = take && `${String(Math.floor(seconds / 60)).padStart(2, "0")}:${String(seconds % 60).padStart(2, "0")}`;
+    const seconds = Math.floor(take?.seconds);
+    const clock = take?.seconds === undefined ? "no frames" : `${String(Math.floor(seconds / 60)).padStart(2, "0")}:${String(seconds % 60).padStart(2, "0")}`;
     set($("record"), take ? `● ${take.name} ${clock} Stop` : "Record");
     $("take-name").disabled = take !== undefined;
     answers.push(...store.answers.splice(0).filter(({ id }) => sent?.ids.includes(id)));
-    const isRecorded = store.freeSpace !== undefined
-      || (source.receivers?.some(({ program }) => program.startsWith("bundlemocap record")) ?? true);
+    const isRecorder = ({ program }) => program.startsWith("bundlemocap record");
+    // One that records cameras alone, or another program, tells of its disk.
+    const isRecorded = store.freeSpace !== undefined || (source.receivers?.some(isRecorder) ?? true);
     $("answers").classList.toggle("bad", take !== undefined && !isRecorded);
     const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
     if (take && !isRecorded) lines.unshift("no recorder is known: start `bundlemocap record takes/`");

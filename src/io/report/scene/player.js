@@ -30,6 +30,7 @@ const step = Math.min(...performers.map((one) => one.step).filter((seconds) => s
 const end = Math.max(...performers.map(({ seconds }) => seconds.at(-1) ?? 0));
 const view = new View($("canvas"), $("labels"));
 for (const camera of take.rig.cameras) camera.lens = camera.lens === "fisheye" ? 2 : 1;
+if (view.error) $("labels").textContent = view.error;
 view.setRig(take.rig);
 view.setTemplate(template);
 

@@ -87,8 +87,14 @@ export class View {
   constructor(canvas, labels) {
     this.canvas = canvas;
     this.labels = labels;
-    this.renderer = new three.WebGLRenderer({ canvas, antialias: true, alpha: true });
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    /** Why there is no picture. */
+    this.error = "";
+    try {
+      this.renderer = new three.WebGLRenderer({ canvas, antialias: true, alpha: true });
+      this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    } catch {
+      this.error = "This browser shows no 3D: WebGL is switched off or missing.";
+    }
     this.scene = new three.Scene();
     this.camera = new three.PerspectiveCamera(45, 1, 0.05, 200);
     this.camera.position.set(3.5, 2.4, 4.5);
@@ -161,9 +167,19 @@ export class View {
     const [low, high] = [Math.min, Math.max].map((most) => [0, 1, 2].map((k) => most(...points.map((p) => p[k]))));
     const middle = low.map((x, k) => (x + high[k]) / 2);
     const narrow = Math.max(1, (1.2 * this.canvas.clientHeight) / Math.max(this.canvas.clientWidth, 1));
-    const reach = narrow * Math.max(1.5, 0.36 * Math.hypot(...high.map((x, k) => x - low[k])));
     this.controls.target.set(middle[0], Math.min(middle[1], 1), middle[2]);
-    this.camera.position.set(middle[0] + 0.9 * reach, reach, middle[2] + 1.35 * reach);
+    this.camera.aspect = this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1);
+    this.camera.updateProjectionMatrix();
+    const isSeen = (at) => {
+      const { x, y, z } = this.point.fromArray(at).project(this.camera);
+      return Math.abs(x) < 0.95 && Math.abs(y) < 0.95 && z < 1;
+    };
+    for (let reach = narrow * 1.5; ; reach *= 1.1) {
+      this.camera.position.set(middle[0] + 0.9 * reach, reach, middle[2] + 1.35 * reach);
+      this.camera.lookAt(this.controls.target);
+      this.camera.updateMatrixWorld();
+      if (points.every(isSeen) || reach > 100) return;
+    }
   }
 
   /** The place on the floor, x and z in metres, that is seen at a place of the window; undefined above the horizon. */
@@ -199,6 +215,7 @@ export class View {
 
   draw(people, ghosts) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!this.renderer) return;
     const size = this.renderer.getSize(this.drawn);
     if (size.x !== width || size.y !== height) this.renderer.setSize(width, height, false);
     this.camera.aspect = width / Math.max(height, 1);
@@ -249,7 +266,7 @@ export class View {
   }
 
   get figures() {
-    const { render } = this.renderer.info;
+    const { render } = this.renderer?.info ?? { render: { calls: 0, triangles: 0 } };
     const skins = [...(this.skins?.all.values() ?? [])].filter(({ mesh }) => mesh.visible).length;
     return { calls: render.calls, triangles: render.triangles, skins, ghosts: this.ghosts.joints.count / JOINTS };
   }
