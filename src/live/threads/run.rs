@@ -339,9 +339,14 @@ fn watch_solvers(
     let root = Topics { actor: String::new(), ..topics.clone() }.solver();
     let (bus, (sender, names)) = (Arc::clone(bus), bounded(1));
     let work = move || {
-        let mut before = None;
+        let (mut before, mut unsure) = (None, None);
         while looking.recv_timeout(LOOK_FOR_SOLVERS) == Err(RecvTimeoutError::Timeout) {
             let names = match bus.announced(&format!("{root}*")) {
+                // Without a router nobody is seen; the others may be there.
+                Ok(_) if !bus.is_connected() => {
+                    unsure = None;
+                    continue;
+                }
                 Ok(names) => names,
                 Err(error) => {
                     tracing::debug!("cannot look for solvers: {error}");
@@ -350,6 +355,14 @@ fn watch_solvers(
             };
             let names = names.iter().filter_map(|name| name.strip_prefix(&root));
             let names: BTreeSet<String> = names.map(str::to_owned).collect();
+            // Whose connection just ended sees nobody for a moment: who is gone must be so twice.
+            let is_less =
+                before.as_ref().is_some_and(|before: &BTreeSet<_>| !before.is_subset(&names));
+            if is_less && unsure.as_ref() != Some(&names) {
+                unsure = Some(names);
+                continue;
+            }
+            unsure = None;
             if before.as_ref() != Some(&names) {
                 let all = names.iter().cloned().collect();
                 if sender.try_send(all).is_ok() {
