@@ -192,7 +192,7 @@ impl Config {
                  min_height_px and left_after_s are for that one"
             }
             true if node.solver && !node.rig.is_empty() => {
-                "[node] solver has the calibration of the front; leave out [node] rig, and give it to that node"
+                "[node] solver takes the calibration from the front; remove [node] rig here, and set it at the front"
             }
             true if node.solver && node.latency_ms == 0.0 => {
                 "[node] solver needs the same latency on all nodes, since performers change the node; set [node] latency_ms, \

@@ -41,15 +41,14 @@ def receive(session, handle, stage="stage", actor="actor", poses=None):
         mocap.subscribe_state(session, f"{topics}/skeleton", Skeleton, inbox.put),
         mocap.subscribe_stream(session, f"{topics}/pose", Pose, inbox.put),
     ]
-    skeleton, patience = None, PATIENCE
+    skeleton, is_said = None, False
     while poses is None or poses > 0:
         try:
-            message = inbox.get(timeout=patience)
+            message = inbox.get(timeout=None if skeleton or is_said else PATIENCE)
         except queue.Empty:
-            patience = None
-            print(f"no messages on {topics}/skeleton and pose yet; check --stage and --actor", file=sys.stderr)
+            is_said = True
+            print(f"nothing on {topics}/skeleton and pose yet; check --stage and --actor", file=sys.stderr)
             continue
-        patience = None
         if isinstance(message, Skeleton):
             skeleton = message
         elif skeleton is not None:

@@ -103,9 +103,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(bus) = open(&config, &mut findings)
         && arguments.seconds > 0
     {
-        if let Err(error) = nodes(&*bus, &mut findings) {
-            findings.wrong("node", error.to_string());
-        }
+        nodes(&*bus, &mut findings);
         let ticker = ticker();
         ticker.set_message(format!("listening to the cameras for {} s", arguments.seconds));
         let time = Duration::from_secs(arguments.seconds);
@@ -285,13 +283,16 @@ fn open(config: &Config, findings: &mut Findings) -> Option<Box<dyn Bus>> {
 }
 
 /// The nodes that run now.
-fn nodes(bus: &dyn Bus, findings: &mut Findings) -> Result<(), BusError> {
-    for name in bus.announced("mocap/*/actor/*/node/*")? {
+fn nodes(bus: &dyn Bus, findings: &mut Findings) {
+    let names = match bus.announced("mocap/*/actor/*/node/*") {
+        Ok(names) => names,
+        Err(error) => return findings.wrong("node", error.to_string()),
+    };
+    for name in names {
         if let [_, stage, _, actor, ..] = name.split('/').collect::<Vec<_>>()[..] {
             findings.good("node", format!("runs for stage {stage}, actor {actor}"));
         }
     }
-    Ok(())
 }
 
 /// What the cameras send, compared with the calibration.

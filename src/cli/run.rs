@@ -148,9 +148,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
-    let until = None;
+    let begin = None;
     let mut ready =
-        Ready { arguments, config, decoder, body, stop, seconds, until, bus, solver_core };
+        Ready { arguments, config, decoder, body, stop, seconds, begin, bus, solver_core };
     loop {
         match ready.run()? {
             None => return Ok(Exit::Done),
@@ -169,8 +169,8 @@ struct Ready<'a> {
     body: Option<Vec<u8>>,
     stop: Stop,
     seconds: Option<Duration>,
-    /// When these are over; not set before the first run.
-    until: Option<Option<Instant>>,
+    /// Since when they count: the first run.
+    begin: Option<Instant>,
     bus: Arc<dyn bus::Bus>,
     solver_core: Option<SolverCore>,
 }
@@ -178,7 +178,7 @@ struct Ready<'a> {
 impl Ready<'_> {
     /// Runs the node until it is stopped, or until there is an elder one: `Some`.
     fn run(&mut self) -> Result<Option<NodeError>, Failure> {
-        let Self { arguments, config, decoder, body, stop, seconds, until, bus, solver_core } =
+        let Self { arguments, config, decoder, body, stop, seconds, begin, bus, solver_core } =
             self;
         let now = WallClock::start().now();
         let several = config.stage.several() && !config.node.solver;
@@ -204,7 +204,9 @@ impl Ready<'_> {
             Node::start(Arc::clone(bus), presence, core, solvers, &config.node, *solver_core)?;
         say_hello(config, running.prometheus());
         let (node, over) = (running.monitor(), AtomicBool::new(false));
-        let why = std::thread::scope(|scope| {
+        let begin = *begin.get_or_insert_with(Instant::now);
+        let until = seconds.map(|seconds| begin + seconds);
+        let (why, elder) = std::thread::scope(|scope| {
             let look_after_cameras = || {
                 let is_over = || over.load(Ordering::Relaxed);
                 if let Err(error) =
@@ -217,13 +219,10 @@ impl Ready<'_> {
             if !config.node.solver {
                 scope.spawn(look_after_cameras);
             }
-            let until =
-                *until.get_or_insert_with(|| seconds.map(|seconds| Instant::now() + seconds));
             let why = wait(stop, &running, until);
             over.store(true, Ordering::Relaxed);
             why
         });
-        let (why, elder) = why;
         let elder = elder.map(|elder| running.stand_back(elder));
         tracing::info!("stopping: {why}");
         let status = running.stop()?;
@@ -378,8 +377,8 @@ fn wait(
             looked = Instant::now();
             let is_connected = running.is_connected();
             match (was_connected, is_connected) {
-                (true, false) => tracing::warn!("the router is not reached; it is tried again"),
-                (false, true) => tracing::warn!("the router is reached again"),
+                (true, false) => tracing::warn!("no connection to the router; it is tried again"),
+                (false, true) => tracing::warn!("connected to the router again"),
                 _ => {}
             }
             was_connected = is_connected;

@@ -1,5 +1,8 @@
 //! Input and output: messages, recordings, the bus, files of other programs, the report.
 
+use std::path::Path;
+use std::time::SystemTime;
+
 pub mod bus;
 pub mod formats;
 pub(crate) mod new_file;
@@ -9,3 +12,9 @@ pub mod timecode;
 #[cfg(feature = "cli")]
 pub mod vmc;
 pub mod wire;
+
+/// Time of a file's last change, and its length. `None`: there is no such file.
+pub(crate) fn stamp(path: &Path) -> Option<(SystemTime, u64)> {
+    let about = std::fs::metadata(path).ok()?;
+    Some((about.modified().ok()?, about.len()))
+}

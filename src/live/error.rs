@@ -17,8 +17,9 @@ pub enum NodeError {
     Rig(#[from] ImportError),
     /// Another node publishes this performer.
     #[error(
-        "another node publishes actor {actor:?}, or several performers, on stage {stage:?}: {elder}; stop it, choose \
-         another [node] actor or, with several performers, stage, or wait for its end with --standby"
+        "another node publishes on stage {stage:?} what this one would (actor {actor:?}, or several performers): {elder}; \
+         stop it, or wait for its end with --standby. Otherwise choose another [node] actor or, for several performers, \
+         another [node] stage"
     )]
     Occupied {
         /// Name of the capture volume.

@@ -340,11 +340,15 @@ impl Recording {
         mut take: impl FnMut(Item) -> Result<(), Error>,
     ) -> Result<(), Error> {
         self.reader.rewind()?;
-        let mut formats = Formats::of(self.seen.iter().map(|(name, one)| (&**name, &*one.format)));
         let mut is_empty = true;
         self.has_other_rig = false;
         // The held-out cameras follow the others.
         let cameras: Vec<&Camera> = rig.cameras.iter().chain(held_out).collect();
+        let first = cameras.iter().filter_map(|camera| {
+            let info = self.seen.get(&camera.name)?;
+            Some((camera.name.as_str(), info.format.as_str()))
+        });
+        let mut formats = Formats::of(first);
         let offsets: Vec<_> = cameras.iter().map(|camera| camera.time_offset).collect();
         // Otherwise they keep the order of the recording.
         let is_corrected = !self.wrong_times.is_empty();
@@ -451,12 +455,14 @@ impl Formats {
     /// Of the cameras' first frames.
     fn of<'a>(first: impl Iterator<Item = (&'a str, &'a str)>) -> Self {
         let mut formats = Self::default();
-        first.for_each(|(camera, format)| drop(formats.vote(camera, format)));
+        for (camera, format) in first {
+            formats.vote(camera, format);
+        }
         formats
     }
 
     /// A camera sends this format. Returns the usual one.
-    fn vote(&mut self, camera: &str, format: &str) -> String {
+    fn vote(&mut self, camera: &str, format: &str) -> &str {
         if self.cameras.get(camera).is_none_or(|before| before != format) {
             self.cameras.insert(camera.to_owned(), format.to_owned());
             let votes = |format: &str| self.cameras.values().filter(|one| *one == format).count();
@@ -464,7 +470,7 @@ impl Formats {
                 format.clone_into(&mut self.usual);
             }
         }
-        self.usual.clone()
+        &self.usual
     }
 }
 

@@ -190,7 +190,7 @@ pub(crate) fn solve(
             (path, "the recording".to_owned())
         }
     };
-    let error = |wrong: offline::Error| {
+    let told = |wrong: offline::Error| {
         error(wrong.to_string().replace(&path.display().to_string(), &name))
     };
     let config = settings(config, performers)?;
@@ -203,10 +203,10 @@ pub(crate) fn solve(
         performers,
         choice: config.stage.choice(),
         names: config.stage.names.clone(),
-        known: config.known_people().map_err(crate::error)?,
+        known: config.known_people().map_err(error)?,
         out: Some(out.clone()),
         overwrite,
-        timecode: config.timecode.house().map_err(crate::error)?,
+        timecode: config.timecode.house().map_err(error)?,
         config_toml: Some(config.to_toml()),
         ..Options::default()
     };
@@ -219,12 +219,12 @@ pub(crate) fn solve(
     if let Some(interrupt) = interrupts.interrupt {
         return Err(interrupt);
     }
-    let (group, losses) = group.map_err(error)?;
+    let (group, losses) = group.map_err(told)?;
     warn_of(py, &name, &losses)?;
     if let Some(folder) = config.bodies_folder() {
-        group.write_bodies(folder).map_err(crate::error)?;
+        group.write_bodies(folder).map_err(error)?;
     }
-    let json = serde_json::to_string(&group).map_err(crate::error)?;
+    let json = serde_json::to_string(&group).map_err(error)?;
     let summary = py.import("json")?.call_method1("loads", (json,))?.cast_into::<PyDict>()?;
     Ok(Solved { motions: motions(py, &out.join("poses.mcap"))?, summary: summary.unbind() })
 }

@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                     add(&mut happens, now + DELAY, solved);
                 }
                 // The calibration was published too; a node writes it to its file.
-                Output::Mended { .. } | Output::Body { .. } | Output::NameGone { .. } => {}
+                Output::Mended { .. } | Output::Body { .. } => {}
                 Output::Publish(publication) => {
                     if let (Content::Pose(pose), Some(due)) =
                         (&publication.content, publication.due)

@@ -185,8 +185,8 @@ impl World {
                     self.answers.push((*free, performer, self.solver.solve(&job), took));
                 }
                 Output::Mended { .. } => {}
-                Output::Body { name, body, .. } => drop(self.bodies.insert(name, body)),
-                Output::NameGone { name, .. } => drop(self.bodies.remove(&name)),
+                Output::Body { name, body: Some(body), .. } => drop(self.bodies.insert(name, body)),
+                Output::Body { name, .. } => drop(self.bodies.remove(&name)),
                 Output::Publish(publication) => self.heard.messages.push(Recorded {
                     time: publication.due.map_or(self.now, |due| due.max(self.now)),
                     capture: publication.capture,

@@ -199,7 +199,7 @@ impl Node {
         self.core.handle(self.now, input);
         while let Some(output) = self.core.poll() {
             match output {
-                Output::Mended { .. } | Output::Body { .. } | Output::NameGone { .. } => {}
+                Output::Mended { .. } | Output::Body { .. } => {}
                 Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
                 Output::Solve { job, .. } => {
                     self.answer = Some((self.now + Nanos::from_ms(5), solved(&job)));

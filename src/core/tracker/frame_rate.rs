@@ -1,11 +1,10 @@
 //! The frame rate of the cameras: lines through capture times over frame numbers.
 //!
 //! Each camera's period is the slope of a least-squares line through the capture times of its last
-//! frames over their numbers. A counter that does not count the images, but for example those that were sent, is replaced
-//! by rounded steps. Jumps
-//! begin parallel lines of the same slope. If the last frames have another slope, by a whole period, the
-//! frames before them are dropped. Cameras near the fastest are pooled, and the only listed rate within
-//! three standard errors takes the place of the result.
+//! frames over their numbers. A counter that does not count the images, but for example the messages,
+//! is replaced by rounded steps. Jumps begin parallel lines of the same slope. If the last frames have
+//! another slope, by a whole period, the frames before them are dropped. Cameras near the fastest are
+//! pooled, and the only listed rate within three standard errors takes the place of the result.
 
 use std::collections::VecDeque;
 

@@ -46,7 +46,8 @@ const HISTORY_WITHIN: Duration = Duration::from_secs(2);
 /// Time that the network has to name the announced.
 const ANNOUNCED_WITHIN: Duration = Duration::from_secs(1);
 
-/// Interval at which a publisher of states sends its last sequence number, if it published.
+/// Interval at which a publisher of states sends its last sequence number, once it has published. Zenoh's *sporadic*
+/// heartbeats, only after a message, wait for full queues: one hung receiver would stop everybody.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// The bus over a network.

@@ -14,6 +14,7 @@ use super::error::RecordError;
 use super::message::RawEntry;
 use super::reader::Reader;
 use crate::core::time::Timestamp;
+use crate::io::stamp;
 
 /// A recording of which any span of log time can be read. With an index only the chunks of the span are
 /// read; a file without one, such as a cut one, is read from its beginning each time.
@@ -21,7 +22,7 @@ use crate::core::time::Timestamp;
 pub struct Spans {
     path: PathBuf,
     index: Option<Summary>,
-    /// Time of its last change, and its length.
+    /// When it was opened, see [`stamp`].
     stamp: Option<(SystemTime, u64)>,
 }
 
@@ -122,11 +123,6 @@ impl Spans {
         }
         Ok(Some(all))
     }
-}
-
-fn stamp(path: &Path) -> Option<(SystemTime, u64)> {
-    let about = std::fs::metadata(path).ok()?;
-    Some((about.modified().ok()?, about.len()))
 }
 
 /// The index at the end of a file; `None` if there is none, or it is damaged.

@@ -87,7 +87,8 @@ impl Core {
         }
         let known = self.stage.as_ref().map_or_else(Vec::new, Stage::known);
         for known in known.iter().filter(|one| one.was_here() && !one.name.is_empty()) {
-            if let Some(body) = wire::Skeleton::of_known(known) {
+            let body = wire::Skeleton::of_known(known);
+            if body.is_some() {
                 let (performer, name) = (known.performer, known.name.clone());
                 self.outputs.push_back(Output::Body { performer, name, body });
             }

@@ -95,15 +95,9 @@ pub enum Output {
         performer: PerformerId,
         /// The name.
         name: String,
-        /// The body, with the measured lengths.
-        body: wire::Skeleton,
-    },
-    /// A performer has another name: the folder of known bodies needs none under this one, if it is that performer's.
-    NameGone {
-        /// The performer.
-        performer: PerformerId,
-        /// The name so far.
-        name: String,
+        /// The body, with the measured lengths. `None`: the performer has another name, so what was written of this
+        /// performer under this name is not needed.
+        body: Option<wire::Skeleton>,
     },
     /// Asks for an [`Input::Tick`] at this time of the node's clock, unless another input comes
     /// later than that. Replaces the time asked for before.

@@ -57,7 +57,7 @@ impl Core {
         }
         // The front answers for solvers.
         match &*take.action {
-            // It may have come during the take.
+            // A solver that came during the take has none to stop.
             "stop" if self.is_solver() && self.running.is_empty() => return,
             "start" | "stop" => {}
             "reset" | "label" | "lock" | "unlock" if self.is_solver() => {
@@ -157,7 +157,7 @@ impl Core {
         self.is_changed = true;
         if new_name != name && !self.bodies_folder().is_empty() {
             let performer = PerformerId(number);
-            self.outputs.push_back(Output::NameGone { performer, name: name.clone() });
+            self.outputs.push_back(Output::Body { performer, name: name.clone(), body: None });
         }
         self.put_out_bodies();
         Ok(format!("{name} is {new_name} from now on"))

@@ -367,10 +367,7 @@ impl<'a> Run<'a> {
                     schema: publication.content.schema().into(),
                     payload: publication.content.encode(),
                 }),
-                Output::Wake(_)
-                | Output::Mended { .. }
-                | Output::Body { .. }
-                | Output::NameGone { .. } => {}
+                Output::Wake(_) | Output::Mended { .. } | Output::Body { .. } => {}
             }
         }
     }

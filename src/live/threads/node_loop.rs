@@ -58,7 +58,7 @@ pub(crate) struct NodeLoop {
     pub(crate) rig_topic: String,
     /// Calibrations with a mended camera, each with the version of the one before; for the file.
     pub(crate) mended: Sender<(Rig, u64)>,
-    /// Performers with their names and bodies, for the folder of known bodies; `None`: the performer has another name.
+    /// For the folder of known bodies, as in [`Output::Body`].
     pub(crate) bodies: Sender<(PerformerId, String, Option<Skeleton>)>,
     pub(crate) progress: Progress,
 }
@@ -236,18 +236,15 @@ impl NodeLoop {
                     let _ = self.mended.try_send((rig, instead_of));
                 }
                 Output::Body { performer, name, body } => {
-                    self.change_body(performer, name, Some(body));
+                    if self.bodies.try_send((performer, name, body)).is_err() {
+                        let text =
+                            "the folder of known bodies is not up to date: the disk is too slow";
+                        tracing::warn!("{text}");
+                    }
                 }
-                Output::NameGone { performer, name } => self.change_body(performer, name, None),
             }
         }
         self.progress.events.end_seconds(now);
-    }
-
-    fn change_body(&self, performer: PerformerId, name: String, body: Option<Skeleton>) {
-        if self.bodies.try_send((performer, name, body)).is_err() {
-            tracing::warn!("the folder of known bodies is not up to date: the disk is too slow");
-        }
     }
 
     fn publish(&mut self, publication: Publication, now: Timestamp) {

@@ -38,7 +38,7 @@ impl Outlet {
         Self { bus, lines: HashMap::new(), failures, most_late: None, unsaid: 0, quiet_until }
     }
 
-    /// Does not publish what is that late: another node does so by then. It counts as a failure.
+    /// Does not publish what is later than this: another node may do so by then. It counts as a failure.
     #[must_use]
     pub(crate) fn up_to(self, most_late: Option<Nanos>) -> Self {
         Self { most_late, ..self }
@@ -57,28 +57,23 @@ impl Outlet {
 
     /// Publishes a message. Returns whether that was done.
     pub(crate) fn put(&mut self, publication: &Publication, now: Timestamp) -> bool {
-        let is_over = |most| publication.due.is_some_and(|due| now - due > most);
-        let put = match self.most_late.is_some_and(is_over) {
-            true => Err(Some("it is seconds late: another solver may go on by now".to_owned())),
-            false => {
-                self.try_put(publication, now).map_err(|error| error.map(|error| error.to_string()))
-            }
-        };
-        let is_put = put.is_ok();
-        if let Err(why) = put {
+        let put = self.try_put(publication, now);
+        if let Err(why) = &put {
             self.failures.fetch_add(1, Ordering::Relaxed);
             self.unsaid += 1;
-            self.complain(&publication.topic, why, now);
+            self.complain(&publication.topic, why.as_deref(), now);
         }
-        is_put
+        put.is_ok()
     }
 
     /// Fails without an error until it is time to try the topic again.
-    fn try_put(
-        &mut self,
-        publication: &Publication,
-        now: Timestamp,
-    ) -> Result<(), Option<BusError>> {
+    fn try_put(&mut self, publication: &Publication, now: Timestamp) -> Result<(), Option<String>> {
+        if let (Some(most), Some(due)) = (self.most_late, publication.due)
+            && now - due > most
+        {
+            let text = format!("it is more than {most} late; another solver may publish it");
+            return Err(Some(text));
+        }
         let topic = &publication.topic;
         let line = match self.lines.get(topic) {
             Some(Line::Shut { until }) if now < *until => return Err(None),
@@ -87,17 +82,18 @@ impl Outlet {
                 if let Err(error) = self.open(topic, publication.content.schema()) {
                     let until = now + PATIENCE;
                     self.lines.insert(Arc::clone(topic), Line::Shut { until });
-                    return Err(Some(error));
+                    return Err(Some(error.to_string()));
                 }
                 let Some(line) = self.lines.get(topic) else { return Err(None) };
                 line
             }
         };
         let Line::Open { publisher, encoding } = line else { return Err(None) };
-        publisher.put(publication.capture, encoding, &publication.content.encode()).map_err(Some)
+        let put = publisher.put(publication.capture, encoding, &publication.content.encode());
+        put.map_err(|error| Some(error.to_string()))
     }
 
-    fn complain(&mut self, topic: &str, why: Option<String>, now: Timestamp) {
+    fn complain(&mut self, topic: &str, why: Option<&str>, now: Timestamp) {
         if now < self.quiet_until {
             return;
         }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::SystemTime;
 
 use crate::io::formats::{Convention, ImportError, Up, read_calibration, write_calibration};
+use crate::io::stamp;
 use crate::io::wire::{Rig, encode};
 
 /// A calibration file that is checked for changes.
@@ -11,14 +12,12 @@ pub struct RigFile {
     path: PathBuf,
     given: Convention,
     up: Up,
-    stamp: Option<Stamp>,
+    /// Of the last check, see [`stamp`].
+    stamp: Option<(SystemTime, u64)>,
     version: u64,
     /// Checks in a row that found no file.
     missing: u32,
 }
-
-/// Time of the last change, and length of the file.
-type Stamp = (SystemTime, u64);
 
 impl RigFile {
     /// Reads the file for the first time: the bytes of a [`Rig`] message. Its version is a hash of
@@ -28,7 +27,7 @@ impl RigFile {
     /// As [`read_calibration`].
     pub fn open(path: PathBuf, given: Convention) -> Result<(Self, Vec<u8>), ImportError> {
         let mut file = Self { path, given, up: Up::default(), stamp: None, version: 0, missing: 0 };
-        file.stamp = file.look();
+        file.stamp = stamp(&file.path);
         let rig = file.read()?;
         file.version = rig.version;
         Ok((file, encode(&rig)))
@@ -44,7 +43,7 @@ impl RigFile {
     /// # Errors
     /// As [`read_calibration`]; the previous calibration stays valid.
     pub fn changed(&mut self) -> Result<Option<Vec<u8>>, ImportError> {
-        let stamp = self.look();
+        let stamp = stamp(&self.path);
         // A missing file may just be being replaced; then the next check finds it.
         self.missing = if stamp.is_some() { 0 } else { self.missing.saturating_add(1) };
         if self.missing == 2 {
@@ -61,11 +60,6 @@ impl RigFile {
         }
         self.version = rig.version;
         Ok(Some(encode(&rig)))
-    }
-
-    fn look(&self) -> Option<Stamp> {
-        let about = std::fs::metadata(&self.path).ok()?;
-        Some((about.modified().ok()?, about.len()))
     }
 
     fn read(&mut self) -> Result<Rig, ImportError> {
@@ -91,7 +85,7 @@ impl RigFile {
                 "{path} does not hold the calibration that was in use; it is not overwritten"
             ));
         }
-        if self.look() != self.stamp {
+        if stamp(&self.path) != self.stamp {
             return Err(format!("{path} was changed meanwhile; it is not overwritten"));
         }
         let cameras = rig.to_core().map_err(|error| error.to_string())?;
@@ -110,7 +104,7 @@ impl RigFile {
         let kept = std::fs::copy(&self.path, &before);
         kept.map_err(|error| format!("cannot write {}: {error}", before.display()))?;
         write_calibration(&self.path, &cameras, self.up).map_err(|error| error.to_string())?;
-        (self.stamp, self.version) = (self.look(), rig.version);
+        (self.stamp, self.version) = (stamp(&self.path), rig.version);
         Ok(format!("{path} is overwritten; the old calibration is in {}", before.display()))
     }
 }

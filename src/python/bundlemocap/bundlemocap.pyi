@@ -84,7 +84,7 @@ class Camera:
         time_offset_ns: int = 0,
     ) -> Self: ...
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pixels (n x 2) of places (n x 3, metres); NaN where the camera cannot see one. The array is yours."""
+        """Pixels (n x 2) of places (n x 3, metres); NaN where the camera cannot see one. You may change this array."""
 
 @final
 class Rig:

@@ -599,8 +599,9 @@ const KEYS = {
   l: loop,
   "?": help,
 };
-/** Keys of the timeline. */
+/** What Page Up and Page Down go on or back, seconds. */
 const LONG_STEP = 1;
+/** Keys of the timeline. */
 const OF_TIMELINE = {
   Home: () => goTo(source.span[0]),
   End: () => (isLive ? play(true) : goTo(source.span[1])),

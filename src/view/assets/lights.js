@@ -167,12 +167,12 @@ const UNKNOWN = 3000;
 /** Whether there was a status of the node, and there is none any more. */
 export const isNodeSilent = (store) => store.statusCame !== undefined && performance.now() - store.statusCame > UNKNOWN;
 
-/** The cameras without a calibration of which the node told in the last seconds. */
+/** The cameras that are not in the calibration, and of which the node told in the last seconds. */
 export function strangers(store) {
   const now = store.historyAt(Infinity).at(-1)?.seconds ?? store.newest;
   const isKnown = (name) => store.rig.cameras.some((camera) => camera.name === name);
-  const late = store.events.slice(-200).filter(({ kind, camera, at }) => kind === "unusable" && camera && now - at < KEPT);
-  return store.rig ? [...new Set(late.map(({ camera }) => camera))].filter((name) => !isKnown(name)) : [];
+  const told = store.events.slice(-200).filter(({ kind, camera, at }) => kind === "unusable" && camera && now - at < KEPT);
+  return [...new Set(told.map(({ camera }) => camera))].filter((name) => !isKnown(name));
 }
 
 /** The light of the node, of what it says of itself. */

@@ -5,6 +5,8 @@ const $ = (id) => document.getElementById(id);
 const PATIENCE = 5000;
 /** For how long a command of this page counts before the node's status tells what became of it, ms. */
 const PENDING = 2500;
+/** Two presses of the button within this time, ms, are one. */
+const DOUBLE_CLICK = 400;
 /** A disk with less free space, bytes, is nearly full. */
 const LEAST_FREE = 2e9;
 /** Who answers a command, if not nodes alone. */
@@ -32,11 +34,12 @@ export function takes(store, source, lookOf, floorAt) {
     if (isPending && sent.action === "start") return { name: sent.name, seconds: age / 1000 };
     return isPending && sent.action === "stop" ? undefined : store.runningTake;
   };
+  let submitted = -Infinity;
   $("take").hidden = false;
   $("take").addEventListener("submit", (event) => {
     event.preventDefault();
-    // A double click is one.
-    if (performance.now() - (sent?.at ?? -Infinity) < 400) return;
+    if (performance.now() - submitted < DOUBLE_CLICK) return;
+    submitted = performance.now();
     // What the button shows: another page may have ended the take since then.
     if (shown) command("stop", shown);
     else command("start", $("take-name").value);
