@@ -9,7 +9,7 @@ use tempfile::TempPath;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
-use super::overwrite::{Overwrite, is_no_input};
+use super::overwrite::{Overwrite, is_no_input, must_be};
 use super::rig::{ConventionArguments, tell};
 use super::solve::Progress;
 use super::terminal::{complain, note, progress, say, table};
@@ -33,7 +33,7 @@ FOLDER holds a subfolder or a file for each camera, found by content:
   AlphaPose, COCO        a JSON file for all frames
   Ultralytics YOLO       a JSON file or a text file (labels) for each frame
   EasyMocap              a JSON file for each frame (annots)
-  MediaPipe              a JSON file for each frame or one for all: lists of x, y, visibility
+  MediaPipe              a JSON file for each frame or one for all: points with x, y, visibility
   DeepLabCut             a CSV or h5 for all frames
   FreeMoCap              its recording folder, or the .npy with the 2D data of all cameras
   others                 a CSV with frame, NAME_x, NAME_y, NAME_c ..., perhaps camera and person
@@ -46,7 +46,7 @@ gives any. This is a file for --points, with indices from 0 or the detector's na
   nose = 0
   left_shoulder = \"shoulder_L\"
 
-The camera of a file is found by its name, or given by --camera. Files without a camera's name are
+The camera of a file is found by its name, or by the number at its end, or given by --camera. Files without a camera's name are
 given to the other cameras by order. If the images show that they belong to others of these cameras,
 they are exchanged, and the list says so. Without --unit, the performer's height corrects the unit;
 without --up, the performer tells the up axis where nothing else does.
@@ -143,7 +143,10 @@ impl Arguments {
         match &self.folder[..] {
             [only] => Ok(only),
             [first, folder] if first.as_os_str() == "openpose" => Ok(folder),
-            _ => Err(Failure::new(Exit::Usage, "give one folder".to_owned())),
+            _ => Err(Failure::new(
+                Exit::Usage,
+                "give one folder, the one that holds the folders of the cameras".to_owned(),
+            )),
         }
     }
 }
@@ -154,6 +157,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     for input in arguments.points.iter().map(PathBuf::as_path).chain([path]) {
         is_no_input(input, &arguments.out)?;
     }
+    must_be(&arguments.out, "mcap")?;
     let order = arguments.format.as_deref().map(PointOrder::named).transpose()?;
     let fps = frame_rate(arguments, path)?;
     let (cameras, convention) = (arguments.camera.clone(), arguments.convention.clone());

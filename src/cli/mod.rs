@@ -48,7 +48,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::OnceLock;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use failure::{EXIT_CODES, Exit, Failure};
 
@@ -101,7 +101,9 @@ static WORDS: OnceLock<Vec<OsString>> = OnceLock::new();
 /// Parses the words of a command line, the program first, runs the command and returns its exit code.
 pub fn run_with(words: Vec<OsString>) -> u8 {
     let words = WORDS.get_or_init(|| words);
-    let result = match Arguments::parse_from(words).command {
+    let matches = unwrapped(Arguments::command()).get_matches_from(words);
+    let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Play(arguments) => play::run(&arguments),
@@ -136,6 +138,20 @@ pub fn run_with(words: Vec<OsString>) -> u8 {
     exit as u8
 }
 
+/// A command whose help has a line for each paragraph below the options, for any width of the terminal.
+fn unwrapped(command: clap::Command) -> clap::Command {
+    let command = command.mut_subcommands(unwrapped);
+    let Some(help) = command.get_after_help().map(ToString::to_string) else { return command };
+    // Indented lines are examples, or rows of a list.
+    let is_text = |line: &str| !line.is_empty() && !line.starts_with(' ');
+    let mut text = String::new();
+    for (before, line) in std::iter::once("").chain(help.lines()).zip(help.lines()) {
+        text += if is_text(before) && is_text(line) { " " } else { "\n" };
+        text += line;
+    }
+    command.after_help(text.trim_start_matches('\n').to_owned())
+}
+
 /// The path of this program. Where Python runs it, that of its script.
 fn own_path() -> std::io::Result<PathBuf> {
     let word = WORDS.get().and_then(|words| words.first()).map(Path::new);
@@ -148,15 +164,27 @@ type Ended = Result<Exit, Failure>;
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
+    use super::*;
+
+    #[test]
+    fn help_has_no_line_breaks_within_paragraphs() {
+        let help = "A b\nc d.\n\nTwo:\n  one\n  two\n";
+        let parent = clap::Command::new("a").subcommand(clap::Command::new("b").after_help(help));
+        let parent = unwrapped(parent);
+        let shown = parent.get_subcommands().next().and_then(clap::Command::get_after_help);
+        assert_eq!(shown.unwrap().to_string(), "A b c d.\n\nTwo:\n  one\n  two");
+    }
 
     #[test]
     fn the_arguments_are_sound_and_every_command_has_examples() {
-        let command = super::Arguments::command();
+        let command = Arguments::command();
         command.clone().debug_assert();
         for command in command.get_subcommands() {
             let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(help.contains("Example"), "{}", command.get_name());
+            // Rows of lists are indented, or they are joined.
+            let row = help.lines().find(|line| !line.starts_with(' ') && line.contains("  "));
+            assert_eq!(row, None, "{}", command.get_name());
         }
     }
 }

@@ -31,6 +31,21 @@ impl Overwrite {
     }
 }
 
+/// Fails if a file to write has the ending of another format than `ending`.
+pub(crate) fn must_be(path: &Path, ending: &str) -> Result<(), Failure> {
+    const ENDINGS: [&str; 24] = [
+        "bvh", "c3d", "csv", "fbx", "glb", "gltf", "h5", "html", "jpg", "json", "mcap", "mot",
+        "mp4", "npy", "npz", "png", "svg", "toml", "trc", "txt", "usd", "usda", "yaml", "yml",
+    ];
+    let own = path.extension().map(|own| own.to_string_lossy().to_lowercase());
+    let is_other = |own: &String| own != ending && ENDINGS.contains(&own.as_str());
+    if own.as_ref().is_none_or(|own| !is_other(own)) {
+        return Ok(());
+    }
+    let message = format!("{}: the ending must be .{ending}", path.display());
+    Err(Failure::new(Exit::Usage, message))
+}
+
 /// Fails if the file to write is the input.
 pub(crate) fn is_no_input(input: &Path, path: &Path) -> Result<(), Failure> {
     if !is_same_file(input, path) {

@@ -39,8 +39,9 @@ const BODY_OF: &str = "body of ";
 #[command(after_help = "\
 Writes to the folder DIR:
   poses.mcap         skeleton, rig, poses, keyframes, events, and the state of the cameras
-  poses.bvh          poses in centimetres, y up, from the recording's first frame on; frames before
-                     the performer is found repeat the first pose, gaps repeat the previous pose
+  poses.bvh          poses in centimetres, y up, from the recording's first frame (or --start) on;
+                     frames before the performer is found repeat the first pose, gaps repeat the
+                     previous pose
   poses.states.csv   first_frame,last_frame,state: runs of BVH frames, counted from 0, that are
                      tracking, coasting (extrapolated), lost (do not use) or held (repeated)
   report.html        metrics and plots

@@ -114,10 +114,15 @@ pub(super) fn poses(reading: &Reading) -> Vec<Hypothesis> {
         all.push(Hypothesis { finding, reading, weight: 1.0 });
     };
     let fix = "write the pose that takes the world to the camera";
-    let finding = Finding::new("pose_inverted", "its pose takes the camera to the world", fix);
-    add(finding, transposed, -(transposed * translation));
-    let finding = Finding::new("rotation_transposed", "its rotation is transposed", fix);
-    add(finding, transposed, translation);
+    // The world of the file may have had z up.
+    let z_up = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+    for up in [Matrix3::identity(), z_up] {
+        let (back, transposed) = (up * transposed, up * transposed * up);
+        let finding = Finding::new("pose_inverted", "its pose takes the camera to the world", fix);
+        add(finding, transposed, -(back * translation));
+        let finding = Finding::new("rotation_transposed", "its rotation is transposed", fix);
+        add(finding, transposed, translation);
+    }
     let finding = Finding::new(
         "position_as_translation",
         "its translation is the camera's position",

@@ -32,6 +32,9 @@ const USUAL_M: f64 = 1.72;
 /// Largest |ln(height / mean)| of an adult: 1.45 to 2.04 m.
 const ADULTS: f64 = 0.17;
 
+/// Knees are bent if both together are so far before the lines from hip to ankle, as a part of the trunk.
+const BENT: f64 = 0.2;
+
 fn at(points: &Points, point: Keypoint) -> Option<Vector3<f64>> {
     points[POINTS.iter().position(|other| *other == point)?]
 }
@@ -122,20 +125,34 @@ fn upright(up: [f64; 3]) -> Option<Finding> {
     Some(Finding::new("up_axis", what, fix))
 }
 
-/// The feet point backwards if left and right are exchanged.
+/// The feet, or else the bent knees, point backwards if left and right are exchanged.
 fn sides(frames: &[Points]) -> Option<Finding> {
-    let forwards = medians(frames, |points| {
+    let forwards = |of: &dyn Fn(&Points) -> Option<Vector3<f64>>| {
+        medians(frames, |points| {
+            let left = at(points, LHip)? - at(points, RHip)?;
+            let forwards = left.cross(&trunk(points)?).try_normalize(1e-9)?;
+            Some(forwards.dot(&of(points)?.try_normalize(1e-9)?))
+        })
+    };
+    let feet = |points: &Points| {
         let foot = |heel, ankle, toe| {
             let heel = at(points, heel).or_else(|| at(points, ankle))?;
             Some(at(points, toe)? - heel)
         };
-        let feet = foot(LHeel, LAnkle, LBigToe)? + foot(RHeel, RAnkle, RBigToe)?;
-        let left = at(points, LHip)? - at(points, RHip)?;
-        let up = trunk(points)?;
-        Some(left.cross(&up).try_normalize(1e-9)?.dot(&feet.try_normalize(1e-9)?))
-    })?;
-    (forwards < -0.3).then(|| {
-        let what = "the feet point backwards: left and right are exchanged in all cameras";
+        Some(foot(LHeel, LAnkle, LBigToe)? + foot(RHeel, RAnkle, RBigToe)?)
+    };
+    let knees = |points: &Points| {
+        let knee = |hip, knee, ankle| Some(at(points, knee)? - middle(points, hip, ankle)?);
+        let bent = knee(LHip, LKnee, LAnkle)? + knee(RHip, RKnee, RAnkle)?;
+        Some(bent).filter(|bent| bent.norm() > BENT * trunk(points).unwrap_or_default().norm())
+    };
+    let feet = forwards(&feet).map(|part| ("feet point", part));
+    // Of straight legs, a few frames with large errors remain.
+    let bent = frames.iter().filter(|points| knees(points).is_some()).count();
+    let bends = || Some(("knees bend", forwards(&knees).filter(|_| 5 * bent > frames.len())?));
+    let (who, part) = feet.or_else(bends)?;
+    (part < -0.3).then(|| {
+        let what = format!("the {who} backwards: left and right are exchanged in all cameras");
         let fix = "check the keypoint order, and whether all images or the world are mirrored";
         Finding::new("sides_exchanged", what, fix)
     })

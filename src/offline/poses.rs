@@ -257,5 +257,9 @@ pub(crate) fn frame_rate(poses: &[CompactPose]) -> Option<f64> {
 pub(crate) fn rate(captures: &[Timestamp]) -> Option<f64> {
     let periods: Vec<f64> =
         captures.windows(2).map(|pair| (pair[1] - pair[0]).ns() as f64).collect();
-    median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
+    let period = median(&periods).filter(|period| *period > 0.0)?;
+    let rate = 1e9 / period;
+    // Capture times are whole nanoseconds: 60 frames/s look like 59.9999988.
+    let usual = [rate.round(), (1.001 * rate).round() / 1.001];
+    Some(usual.into_iter().find(|usual| (1e9 / usual - period).abs() < 1.0).unwrap_or(rate))
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use bundlemocap::core::body::{Shape, Skeleton};
 use bundlemocap::core::camera::{Camera, Lens, Rig};
-use bundlemocap::core::detections::{Detections, KeypointFormat, Person};
+use bundlemocap::core::detections::{Detections, Keypoint, KeypointFormat, Person};
 use bundlemocap::core::so3;
 use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::Config;
@@ -213,8 +213,11 @@ fn shuffle(take: &mut Take, camera: usize) {
     take.reorder(camera, |i, _| order[i] as usize);
 }
 
-/// The faults of the issue, then ten more.
-const FAULTS: [Fault; 42] = [
+/// The rotation from our world to one with z up.
+const Z_UP: Matrix3<f64> = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+
+/// Faults, and what they are called.
+const FAULTS: [Fault; 44] = [
     one("image mirrored", &["image_mirrored"], |take, c| {
         let [w, _] = size(take, c);
         take.pixels(c, |[x, y]| [w - 1.0 - x, y]);
@@ -290,6 +293,15 @@ const FAULTS: [Fault; 42] = [
     one("pose inverted", &["pose_inverted"], |take, c| {
         let Camera { rotation, translation, .. } = take.rig.cameras[c].clone();
         take.pose(c, rotation.transpose(), -(rotation.transpose() * translation));
+    }),
+    one("pose inverted, in a world with z up", &["pose_inverted"], |take, c| {
+        let Camera { rotation, translation, .. } = take.rig.cameras[c].clone();
+        let back = Z_UP * rotation.transpose();
+        take.pose(c, back * Z_UP, -(back * translation));
+    }),
+    one("rotation transposed, in a world with z up", &["rotation_transposed"], |take, c| {
+        let Camera { rotation, translation, .. } = take.rig.cameras[c].clone();
+        take.pose(c, Z_UP * rotation.transpose() * Z_UP, translation);
     }),
     all("all poses inverted", &["pose_inverted"], |take, _| {
         take.each(|take, c| {
@@ -489,6 +501,47 @@ fn faults_are_named() {
     let missed = lines.iter().filter(|line| line.starts_with("MISS"));
     assert!(missed.clone().all(|line| is_known(&line)), "{}", lines.join("\n"));
     assert_eq!(right + missed.count(), FAULTS.len());
+}
+
+#[test]
+fn exchanged_sides_are_named_without_feet_too() {
+    let mut take = Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 480);
+    let is_foot = |point: &Keypoint| {
+        let name = format!("{point:?}");
+        name.ends_with("Toe") || name.ends_with("Heel")
+    };
+    for frame in &mut take.frames {
+        let feet: Vec<usize> = (0..frame.format.keypoints().len())
+            .filter(|i| is_foot(&frame.format.keypoints()[*i]))
+            .collect();
+        assert!(!feet.is_empty());
+        let people = frame.people.iter_mut();
+        people.for_each(|person| feet.iter().for_each(|foot| person.points[*foot] = None));
+    }
+    assert!(take.check().is_clean(), "{}", take.check());
+    // Straight legs and a few wrong knees say nothing.
+    let mut straight = take.clone();
+    for frame in &mut straight.frames {
+        let place = |name: &str| {
+            frame.format.keypoints().iter().position(|point| format!("{point:?}") == name).unwrap()
+        };
+        for side in ["L", "R"] {
+            let [hip, knee, ankle] =
+                ["Hip", "Knee", "Ankle"].map(|joint| place(&format!("{side}{joint}")));
+            for points in frame.people.iter_mut().map(|person| &mut person.points) {
+                if let (Some(hip), Some(ankle), true) =
+                    (points[hip], points[ankle], frame.frame % 40 > 0)
+                    && let Some(knee) = &mut points[knee]
+                {
+                    knee.pixel = Point2::from((hip.pixel.coords + ankle.pixel.coords) / 2.0);
+                }
+            }
+        }
+    }
+    straight.each(Take::exchange_sides);
+    assert!(!straight.check().to_string().contains("knees"), "{}", straight.check());
+    take.each(Take::exchange_sides);
+    assert!(take.check().to_string().contains("knees bend backwards"), "{}", take.check());
 }
 
 #[test]

@@ -1102,6 +1102,17 @@ fn poses_are_exported_at_another_rate_in_place_and_in_part() {
     }
     export("--out a.csv --lost skip");
     assert_eq!(rows().len(), all.len() - lost);
+    // Poses have whole nanoseconds: no time is before the first one, and the rate is the cameras'.
+    export("--out a.csv --out a.usda --start 100f --fps 60000/1001");
+    assert!(!place.lines("a.csv").iter().any(|line| line.starts_with('-')));
+    assert!(
+        place.lines("a.usda").iter().any(|line| line.contains("framesPerSecond = 59.94005994"))
+    );
+    for start in (1..150).step_by(7) {
+        export(&format!("--out a.csv --out a.usda --start {start}f"));
+        assert!(!place.lines("a.csv")[1].starts_with('-'), "{start}");
+    }
+    assert!(place.lines("a.usda").iter().any(|line| line.trim() == "framesPerSecond = 60"));
     export("--out a.glb --lost mark");
     let states = place.lines("a.states.csv");
     let marked = states.iter().filter_map(|line| line.strip_suffix(",lost"));
@@ -1114,10 +1125,23 @@ fn poses_are_exported_at_another_rate_in_place_and_in_part() {
         ("--out b.glb --up z", ".glb: --up is for .bvh, .trc, .c3d, .csv"),
         ("--out b.npz --rest a", ".npz: --rest is for .glb, .usda, .bvh, .csv"),
         ("--out b.mcap --in-place", "a .mcap holds the whole recording"),
-        ("--out b.csv --start 900f", "no poses from --start"),
+        (
+            "--out b.csv --start 900f",
+            "no poses from --start to --end; the take has poses from 0.00 to 2.48",
+        ),
         ("--out b.csv --start 1.5f", "frames such as 120f"),
     ] {
         place.fails(USAGE, &format!("export solved/poses.mcap {options}"), &[reason]);
+    }
+    for (command, reason) in [
+        (
+            "retarget --skeleton solved/poses.bvh --from solved/poses.mcap --out b.glb",
+            "b.glb: the ending must be .bvh",
+        ),
+        ("decode solved/poses.mcap --out b.bvh", "b.bvh: the ending must be .mcap"),
+        ("calibrate solved/poses.mcap --out b.yml", "b.yml: the ending must be .toml"),
+    ] {
+        place.fails(USAGE, command, &[reason]);
     }
     // Names that others give to joints are those that retargeting knows.
     for (names, known) in [("mixamo", "Mixamo"), ("unreal", "Unreal")] {

@@ -11,8 +11,8 @@ use bundlemocap::core::so3;
 use bundlemocap::core::time::Timestamp;
 use bundlemocap::io::formats::read_trajectories;
 use bundlemocap::io::formats::{
-    DetectionFolder, DetectionOptions, ImportError, MatchedBy, PointOrder, Up, keypoint_format,
-    read_calibration,
+    Convention, DetectionFolder, DetectionOptions, ImportError, MatchedBy, PointOrder, Up,
+    keypoint_format, read_calibration,
 };
 use bundlemocap::io::recording::{Provenance, Writer};
 use bundlemocap::io::wire::Topics;
@@ -349,6 +349,41 @@ fn folders_are_matched_by_name_then_by_order() {
 }
 
 #[test]
+fn folders_are_matched_by_parts_of_names_and_by_numbers() {
+    let found = |folders: &[&str], cameras: &[&str]| -> Vec<String> {
+        let root = TempDir::new().unwrap();
+        folders.iter().for_each(|name| {
+            drop(write(root.path(), &format!("{name}/0.json"), &frame(&[person("10,20,0.5")])))
+        });
+        let options = DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+        let stream = DetectionFolder::open(root.path(), &small_rig(cameras), options).unwrap();
+        let names = stream.matches().iter().map(|m| {
+            let folder = m.folder.file_name().unwrap().to_str().unwrap();
+            format!("{folder} {} {:?}", cameras[m.camera], m.by)
+        });
+        names.collect()
+    };
+    let pose2sim = ["int_cam01_img", "int_cam02_img", "int_cam03_img"];
+    let expected = ["cam02 int_cam02_img Name", "cam03 int_cam03_img Name"];
+    assert_eq!(found(&["cam02", "cam03"], &pose2sim), expected);
+    let cameras = ["cam_01", "cam_02", "cam_03"];
+    let expected = ["Camera_2 cam_02 Name", "Camera_3 cam_03 Name"];
+    assert_eq!(found(&["Camera_2", "Camera_3"], &cameras), expected);
+    // One side counts from 0.
+    let names = ["camera1", "camera2", "camera3"];
+    let expected = ["cam0 camera1 Order", "cam1 camera2 Order", "cam2 camera3 Order"];
+    assert_eq!(found(&["cam0", "cam1", "cam2"], &names), expected);
+    // The whole name is stronger than a part.
+    let expected = ["cam_01 cam_01 Name", "old_cam_01 cam_02 Order"];
+    assert_eq!(found(&["cam_01", "old_cam_01"], &cameras), expected);
+    // Both have the number of the take.
+    assert_eq!(
+        found(&["left_2", "right_2"], &cameras),
+        ["left_2 cam_01 Order", "right_2 cam_02 Order"]
+    );
+}
+
+#[test]
 fn folders_that_do_not_match_the_rig_are_refused() {
     let (root, rig) = two_cameras();
     let path = root.path();
@@ -480,6 +515,27 @@ fn a_toml_calibration_is_read_in_natural_order_and_turned_upright() {
         let (low, high) = (Vector3::zeros(), Vector3::y());
         assert!(ours.project(&high).unwrap().y < ours.project(&low).unwrap().y - 100.0);
     }
+}
+
+#[test]
+fn odd_image_sizes_are_said() {
+    let root = TempDir::new().unwrap();
+    let notes = |size: &str, centre: [&str; 2]| {
+        let text = TOML.replace("[640.0, 480.0]", size).replace("[640, 480]", size);
+        let text = text.replace("320.0]", &format!("{}]", centre[0]));
+        let text = text.replace("240.0]", &format!("{}]", centre[1]));
+        let path = write(root.path(), "calibration.toml", &text);
+        read_calibration(&path, &Convention::default()).unwrap().notes.join("\n")
+    };
+    for (size, centre) in
+        [("[640.0, 480.0]", ["320.0", "240.0"]), ("[480.0, 640.0]", ["236.0", "330.0"])]
+    {
+        assert!(!notes(size, centre).contains("principal point"), "{}", notes(size, centre));
+    }
+    let exchanged = notes("[480.0, 640.0]", ["320.0", "240.0"]);
+    assert!(exchanged.contains("are width and height exchanged?"), "{exchanged}");
+    let half = notes("[320.0, 200.0]", ["322.0", "241.0"]);
+    assert!(half.contains("(322, 241) is outside of the image of 320 x 200"), "{half}");
 }
 
 #[test]
@@ -776,6 +832,70 @@ fn rows_of_a_table_are_frames_by_their_number() {
         let error = open().err().unwrap().to_string();
         assert!(error.contains("cam2.csv") && error.contains("no column frame"), "{error}");
     }
+    // Rows are not frames: some may be missing.
+    write(root.path(), "cam1.csv", "timestamp,nose_x,nose_y\n0.5,1,2\n0.52,1,2\n");
+    let error = open().err().unwrap().to_string();
+    assert!(error.contains("a column timestamp but no column frame"), "{error}");
+    write(root.path(), "cam1.csv", "frame;nose_x;nose_y\n0;1,5;2,5\n");
+    let error = open().err().unwrap().to_string();
+    assert!(error.contains("';' separates its columns"), "{error}");
+    for camera in ["cam1.csv", "cam2.csv"] {
+        write(root.path(), camera, "image,nose_x,nose_y\nimg_00080.png,1,2\nimg_00082.png,1,2\n");
+    }
+    let read = open().unwrap().map(Result::unwrap);
+    assert_eq!(read.map(|d| d.frame).collect::<Vec<_>>(), [80, 80, 82, 82]);
+    // A number behind that of the frame, and the name of the video.
+    for (image, frames) in [("000080_cam1.png", [80, 80, 82, 82]), ("cam1.mp4", [0, 0, 1, 1])] {
+        let rows = [80, 82].map(|k| image.replace("80", &k.to_string()) + ",1,2\n").concat();
+        for camera in ["cam1.csv", "cam2.csv"] {
+            write(root.path(), camera, &format!("image,nose_x,nose_y\n{rows}"));
+        }
+        let read = open().unwrap().map(Result::unwrap);
+        assert_eq!(read.map(|d| d.frame).collect::<Vec<_>>(), frames, "{image}");
+    }
+}
+
+#[test]
+fn a_number_behind_the_frame_number_is_no_frame_number() {
+    let root = TempDir::new().unwrap();
+    let rig = small_rig(&["cam1", "cam2"]);
+    let points = vec!["10"; 51].join(",");
+    for camera in [1, 2] {
+        let people = [12, 13, 15].map(|k| {
+            format!(
+                "{{\"image_id\":\"{k:06}_cam{camera}.jpg\",\"keypoints\":[{points}],\"score\":1}}"
+            )
+        });
+        write(
+            root.path(),
+            &format!("cam{camera}/alphapose.json"),
+            &format!("[{}]", people.join(",")),
+        );
+    }
+    let frames = |root: &Path| -> Vec<u64> {
+        let options = DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+        let folder = DetectionFolder::open(root, &rig, options).unwrap();
+        folder.map(|frame| frame.unwrap().frame).collect()
+    };
+    assert_eq!(frames(root.path()), [12, 12, 13, 13, 15, 15]);
+    let root = TempDir::new().unwrap();
+    for camera in [1, 2] {
+        for k in [3, 4] {
+            write(
+                root.path(),
+                &format!("cam{camera}/{k}_take_07.json"),
+                &frame(&[person("10,20,0.5")]),
+            );
+        }
+    }
+    assert_eq!(frames(root.path()), [3, 3, 4, 4]);
+    // Files in a folder of their own, and a folder beside the files.
+    let root = TempDir::new().unwrap();
+    for place in ["cam1/json", "cam2"] {
+        write(root.path(), &format!("{place}/5.json"), &frame(&[person("10,20,0.5")]));
+    }
+    fs::create_dir(root.path().join("cam2/json")).unwrap();
+    assert_eq!(frames(root.path()), [5, 5]);
 }
 
 #[test]

@@ -402,9 +402,8 @@ frames, bones, counts = {}, {}, {}
 for message in read_protobuf_messages(sys.argv[1]):
     topic, shown = message.topic, message.proto_msg
     counts[topic] = counts.get(topic, 0) + 1
-    if topic == "/tf":
+    if topic in ("/tf", "/tf/cameras"):
         frames.update((one.child_frame_id, one) for one in shown.transforms)
-        at = message.log_time_ns
     elif topic == "/performers":
         bones = shown.entities[0]
     if topic == "/tf" and len(shown.transforms) == 22:
@@ -445,7 +444,9 @@ fn recordings_have_the_schemas_of_foxglove() {
     check(&output);
     let said = String::from_utf8(output.stdout).unwrap();
     // A pose each, and the cameras once a second.
-    for count in ["/performers=240", "/tf=244", "/camera/cam01/calibration=4"] {
+    for count in
+        ["/performers=240", "/tf=240", "/tf/cameras=4", "/cameras=4", "/camera/cam01/calibration=4"]
+    {
         assert!(said.split_whitespace().any(|one| one == count), "no {count} in {said}");
     }
     // What is there is not replaced, and what is damaged or shows nothing is said.
@@ -678,7 +679,7 @@ lines = [line.split("\t") for line in open(trc_path).read().splitlines()]
 names = lines[3][2::3]
 assert lines[2][2:5] == [str(len(wanted)), str(len(names)), "m"]
 names_of_joints = [name[:-2] for name in rows[0] if name.endswith("_x")]
-beside = list(csv.DictReader(open(trc_path.replace(".trc", ".sd.csv"))))
+beside = list(csv.DictReader(open(trc_path + ".sd.csv")))
 known = 0
 for frame, pose in enumerate(poses):
     cells = [[table[frame][f"{name}_sd"] for name in names_of_joints] for table in (rows, beside)]

@@ -25,6 +25,7 @@ const PACKET: usize = 65_536;
 /// Begin, end and rate takes by OSC, from phones, show control and Unreal.
 #[derive(Debug, Args)]
 #[command(after_help = "\
+Messages:
   /take/start [NAME]           begins a take; without a name it is named after the time (UTC)
   /take/start SLATE NUMBER     begins SLATE_NUMBER
   /take/stop                   ends the take

@@ -49,14 +49,20 @@ impl Format {
         let has_deviations = matches!(self, Self::Trc | Self::C3d) && has_deviations(one);
         let timecode = (self == Self::Bvh).then(|| export.times.sidecar(path)).flatten();
         let states = is_marked.then(|| side(path, STATES));
-        let deviations = has_deviations.then(|| side(path, DEVIATIONS));
+        let deviations = has_deviations.then(|| deviations_of(path));
         timecode.into_iter().chain(states).chain(deviations).collect()
     }
 }
 
-/// Endings of the files beside others.
+/// Ending of the files with the states.
 const STATES: &str = "states.csv";
-const DEVIATIONS: &str = "sd.csv";
+
+/// The file beside `take1.trc`: `take1.trc.sd.csv`. It has the rate of that file.
+fn deviations_of(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".sd.csv");
+    name.into()
+}
 
 /// The file beside another: with that ending in place of its own.
 fn side(path: &Path, ending: &str) -> PathBuf {
@@ -172,7 +178,7 @@ fn markers(
     write(path, &Markers { fps, unit, up, names: &names, frames: &frames })?;
     let mut about = format!("{} frames at {fps:.2} Hz, {} markers", frames.len(), names.len());
     if has_deviations(one) {
-        let beside = side(path, DEVIATIONS);
+        let beside = deviations_of(path);
         write_deviations(
             &beside,
             fps,

@@ -45,11 +45,13 @@ The ending of each file chooses the format:
 In all but .npz y is up, if --up does not say z. At rest the body is a T-pose (or what --rest says)
 that faces +z; in .mot it stands with hanging arms. All rotations are zero then. In .glb and .usda
 they are zero with --axes world only; else the joints have y along their bones. In .usda a `:` of a
-joint's name is `_`. Frames and times count from the first frame of the take, or from --start: frame n of
+joint's name is `_`. Frames and times count from the first frame of the take, or from the --start
+that was given to export or to solve: frame n of
 .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of
 the poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at
 most ten minutes in all. .trc and .c3d are empty there, and where the performer is lost; .c3d has
-events there. Beside .trc and .c3d a .sd.csv has the standard deviations of the joint centres, metres.
+events there. The standard deviations of the joint centres, metres, are beside it in
+.trc.sd.csv or .c3d.sd.csv.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
@@ -214,6 +216,7 @@ fn cut(
 ) -> Result<Timestamp, Failure> {
     let Some((first, fps)) = first_pose(performers) else { return Ok(Timestamp::default()) };
     times.rate = Some(fps);
+    let last = performers.iter().filter_map(|one| Some(one.poses.last()?.capture)).max();
     let mut wanted = file_start(first, times.first);
     if let Some([from, to]) = arguments.span.within(times)? {
         let slack = Nanos::rounded(ON_FRAME / fps * 1e9);
@@ -224,6 +227,9 @@ fn cut(
         wanted = wanted.max(from);
     }
     let start = frame_from((first, fps), wanted);
+    // A pose on the grid may be a moment earlier; files have no negative times.
+    let earliest = performers.iter().filter_map(|one| Some(one.poses.first()?.capture)).min();
+    let start = earliest.map_or(start, |earliest| start.min(earliest));
     for one in performers.iter_mut() {
         let poses = std::mem::take(&mut one.poses);
         (one.poses, one.fps) = arguments.options.apply(poses, start, one.fps);
@@ -233,7 +239,14 @@ fn cut(
     *performers = left;
     if performers.is_empty() {
         let but = if arguments.options.lost == Lost::Skip { " but lost ones" } else { "" };
-        return Err(Failure::new(Exit::Usage, format!("no poses from --start to --end{but}")));
+        return Err(Failure::new(
+            Exit::Usage,
+            format!(
+                "no poses from --start to --end{but}; the take has poses from {:.2} to {:.2} s",
+                first.seconds_since(times.first),
+                last.unwrap_or(first).seconds_since(times.first)
+            ),
+        ));
     }
     for one in gone {
         complain("note", &format!("{} has no poses there, and no file", one.actor));

@@ -1,12 +1,11 @@
 //! How poses are changed before they are written.
 
-use std::str::FromStr;
-
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
+use std::str::FromStr;
 
 use super::{Format, ON_FRAME};
-use crate::cli::failure::{Exit, Failure};
+use crate::cli::failure::{Exit, Failure, ratio};
 use crate::core::body::{JointDeviations, StampedPose, TrackingState};
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::formats::{JointAxes, JointNames, RestPose, Style, Unit, Up};
@@ -63,9 +62,9 @@ pub(super) enum Lost {
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
+    match ratio(text) {
         Ok(fps) if (0.1..=1000.0).contains(&fps) => Ok(fps),
-        _ => Err("give 0.1 to 1000".into()),
+        _ => Err("give 0.1 to 1000, such as 30 or 30000/1001".into()),
     }
 }
 

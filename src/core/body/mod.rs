@@ -17,7 +17,7 @@ pub use joints::{BODY_JOINTS, FASTEST, FEET, JOINTS, Joint};
 #[doc(hidden)]
 pub use keypoint_offsets::{KeypointOffsets, OFFSETS, OffsetPrior, SYMMETRIC_OFFSETS};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
-pub use mesh::Mesh;
+pub use mesh::{Bulge, Mesh};
 pub use pose::{Bone, JointDeviations, Pose, StampedPose, TrackingState};
 pub use skeleton::{
     BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, SYMMETRIC_SHAPE, Shape, ShapeCoefficient, Skeleton,

@@ -66,6 +66,9 @@ pub struct Foreign {
 pub trait Companion: Send {
     /// The messages that are written after this one of ours.
     fn follow(&mut self, topic: &str, message: &Message) -> Vec<Foreign>;
+
+    /// The messages that are written at the end.
+    fn end(&mut self) -> Vec<Foreign>;
 }
 
 struct OpenChannel {
@@ -269,7 +272,11 @@ impl Writer {
         let Some(companion) = &mut self.companion else { return Ok(()) };
         let decoded = Message::decode(topic, &T::full_name(), ENCODING, &payload);
         let foreign = decoded.map_or_else(|_| Vec::new(), |ours| companion.follow(topic, &ours));
-        for Foreign { topic, schema, descriptor, at, payload } in foreign {
+        self.write_foreign(foreign)
+    }
+
+    fn write_foreign(&mut self, messages: Vec<Foreign>) -> Result<(), RecordError> {
+        for Foreign { topic, schema, descriptor, at, payload } in messages {
             self.log(&topic, (&schema, Some(&descriptor)), ENCODING, [at; 2], &payload)?;
         }
         Ok(())
@@ -362,6 +369,9 @@ impl Writer {
     /// # Errors
     /// The disk is full or fails; the target is then unchanged.
     pub fn finish(mut self) -> Result<(), RecordError> {
+        if let Some(mut companion) = self.companion.take() {
+            self.write_foreign(companion.end())?;
+        }
         let write = RecordError::write(&self.path);
         self.mcap.finish().map_err(|error| write_error(&self.path, error))?;
         let file = self.mcap.into_inner();

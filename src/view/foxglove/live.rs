@@ -6,7 +6,7 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use foxglove::websocket::ServerListener;
 use foxglove::{Context, FoxgloveError, Schema, WebSocketServer};
@@ -16,6 +16,7 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 
 use super::{Channels, Scene};
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{BusError, Sample};
 use crate::io::recording::Message;
 use crate::io::wire::{ENCODING, SCHEMA_ENCODING, descriptor, schema_of};
@@ -24,8 +25,10 @@ use crate::view::bus::Live;
 use crate::view::server::{ViewError, give_way, reachable};
 
 /// What is passed on, below the stage.
-const PATTERNS: [&str; 7] = [
+const PATTERNS: [&str; 9] = [
     "rig",
+    "status",
+    "take",
     "events",
     "camera/*/keypoints",
     "actor/*/skeleton",
@@ -35,6 +38,8 @@ const PATTERNS: [&str; 7] = [
 ];
 /// Most messages in the queue. When it is full, new messages are dropped; so are those larger than [`MOST_BYTES`].
 const WAITING: usize = 4096;
+/// Without a pose or image for so long, time goes on by the clock.
+const SILENT: Duration = Duration::from_secs(1);
 /// How often the number of clients is read, and the pause before a bus that failed is opened again.
 const LOOK: Duration = Duration::from_millis(100);
 const REST: Duration = Duration::from_secs(1);
@@ -144,9 +149,12 @@ fn pass_on(
     let bus = live.open()?;
     let (out, mut samples) = channel::<Sample>(WAITING);
     let stage = &live.topics.stage;
-    let (mut guards, mut shown) = (Vec::new(), Scene::default());
+    let (mut guards, mut shown) = (Vec::new(), Scene::live());
     // Calibration and bodies, by topic.
     let mut kept: BTreeMap<Arc<str>, (&str, Sample)> = BTreeMap::new();
+    // When the last pose or image came, and its capture time.
+    let mut last: Option<(Instant, Timestamp)> = None;
+    let mut again = Instant::now();
     let dropped = Arc::new(AtomicUsize::new(0));
     for pattern in PATTERNS {
         let (out, dropped) = (out.clone(), Arc::clone(&dropped));
@@ -163,6 +171,15 @@ fn pass_on(
             yield_now().await; // Clients are served even if there is always a sample.
             timeout(LOOK, samples.recv()).await
         });
+        // The clock of these programs stands still without messages, and so do performers who are gone.
+        if let Some((came, capture)) = last.filter(|(came, _)| came.elapsed() > SILENT)
+            && again.elapsed() > SILENT
+        {
+            again = Instant::now();
+            shown.put_held(|_| true, channels);
+            shown.put_cameras(capture + Nanos::from(came.elapsed()), channels);
+            kept.values().for_each(|(schema, sample)| pass(channels, schema, sample));
+        }
         let Ok(Some(sample)) = next else { continue };
         let Some(schema) = schema_of(&sample.topic, &sample.encoding) else { continue };
         let topic = &sample.topic;
@@ -170,18 +187,15 @@ fn pass_on(
             continue;
         };
         let cameras = shown.next;
-        shown.handle(topic, &message, channels);
-        let mut pass = |schema: &str, Sample { topic, payload, .. }: &Sample| {
-            let ours = || Some(Schema::new(schema, SCHEMA_ENCODING, descriptor(schema)?));
-            let bytes = |bytes: &mut Vec<u8>| bytes.extend_from_slice(payload);
-            channels.send(topic, (ENCODING, ours), sample.capture, bytes);
-        };
-        pass(schema, &sample);
+        if shown.handle(topic, &message, channels) {
+            last = Some((Instant::now(), sample.capture));
+        }
+        pass(channels, schema, &sample);
         // Each time the cameras are, for clients that came later.
         if let Message::Rig(_) | Message::Skeleton(_) = message {
             kept.insert(Arc::clone(topic), (schema, sample));
         } else if shown.next != cameras {
-            kept.values().for_each(|(schema, sample)| pass(schema, sample));
+            kept.values().for_each(|(schema, sample)| pass(channels, schema, sample));
         }
     }
     let dropped = dropped.load(Ordering::Relaxed);
@@ -191,4 +205,11 @@ fn pass_on(
         );
     }
     Ok(())
+}
+
+/// Sends a message of ours as it is.
+fn pass(channels: &mut Channels, schema: &str, Sample { topic, payload, capture, .. }: &Sample) {
+    let ours = || Some(Schema::new(schema, SCHEMA_ENCODING, descriptor(schema)?));
+    let bytes = |bytes: &mut Vec<u8>| bytes.extend_from_slice(payload);
+    channels.send(topic, (ENCODING, ours), *capture, bytes);
 }

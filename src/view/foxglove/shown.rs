@@ -1,20 +1,21 @@
 //! Our types as Foxglove's messages.
 
 use foxglove::messages::line_primitive::Type as LineType;
+use foxglove::messages::log;
 use foxglove::messages::points_annotation::Type as PointsType;
 use foxglove::messages::{
     self, CameraCalibration, Color, Duration, FrameTransform, FrameTransforms, ImageAnnotations,
-    LinePrimitive, Point2, Point3, PointsAnnotation, Quaternion, SceneEntity, SceneUpdate,
+    LinePrimitive, Log, Point2, Point3, PointsAnnotation, Quaternion, SceneEntity, SceneUpdate,
     SpherePrimitive, TextPrimitive,
 };
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::Performer;
-use crate::core::body::{Joint, Skeleton, StampedPose, TrackingState};
+use crate::core::body::{JOINTS, Joint, Skeleton, StampedPose, TrackingState};
 use crate::core::camera::{Camera, Lens, Rig};
 use crate::core::so3;
 use crate::core::time::Timestamp;
-use crate::io::wire::KeypointFrame;
+use crate::io::wire::{Event, KeypointFrame};
 
 /// Our frame, and that with z up.
 const WORLD: &str = "world";
@@ -24,13 +25,19 @@ const BONE: f64 = 0.035;
 const HEAD: f64 = 0.2;
 /// Radius of a keypoint, pixels.
 const POINT: f64 = 3.0;
-/// How long a pose is shown if no newer one comes, nanoseconds.
-const KEPT_NS: u32 = 500_000_000;
+/// Length of a camera's edges, and height of its name, metres.
+const CAMERA: f64 = 0.4;
+const CAMERA_NAME: f64 = 0.1;
+/// How long a pose and a camera are shown if no newer one comes.
+const POSE_KEPT_NS: u32 = 500_000_000;
+const CAMERA_KEPT_S: i32 = 3;
 /// The colours of performers \[Okabe 2008\], as on the page; after these paler ones, then darker ones.
 const COLOURS: [&str; 7] =
     ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442"];
-/// The colour of a pose that is not tracked.
+/// The colour of a pose that is not tracked, and of cameras.
 const GREY: &str = "#8a8f98";
+/// The colour of keypoints. Detectors do not know the performers.
+const MAGENTA: &str = "#ff00ff";
 
 /// Nanoseconds since 1970; 0 before.
 pub(super) fn nanoseconds(at: Timestamp) -> u64 {
@@ -59,17 +66,42 @@ fn quaternion(rotation: &Matrix3<f64>) -> Option<Quaternion> {
     Some(Quaternion { x, y, z, w })
 }
 
-/// The bones and the name of a performer.
-pub(super) fn bones(
+fn placed(position: &Vector3<f64>) -> Option<messages::Pose> {
+    let orientation = quaternion(&Matrix3::identity());
+    Some(messages::Pose { position: vector(position), orientation })
+}
+
+fn corner(p: &Vector3<f64>) -> Point3 {
+    Point3 { x: p.x, y: p.y, z: p.z }
+}
+
+/// A text that always faces the viewer.
+fn text(at: &Vector3<f64>, height: f64, color: Option<Color>, text: &str) -> TextPrimitive {
+    TextPrimitive {
+        pose: placed(at),
+        billboard: true,
+        font_size: height,
+        color,
+        text: text.into(),
+        ..TextPrimitive::default()
+    }
+}
+
+/// Performers in poses of one time, with their names.
+pub(super) fn performers<'a>(
+    all: impl Iterator<Item = (&'a String, &'a Performer, &'a StampedPose)>,
+) -> SceneUpdate {
+    let entities = all.map(|(name, performer, pose)| bones(name, performer, pose)).collect();
+    SceneUpdate { entities, ..SceneUpdate::default() }
+}
+
+fn bones(
     name: &str,
     Performer { number, body, label }: &Performer,
     StampedPose { capture, pose, state, .. }: &StampedPose,
-) -> SceneUpdate {
+) -> SceneEntity {
     let at = pose.posture(body).positions;
-    let point = |joint: Joint| {
-        let p = at[joint.index()];
-        Point3 { x: p.x, y: p.y, z: p.z }
-    };
+    let point = |joint: Joint| corner(&at[joint.index()]);
     let both = |joint: Joint| joint.parent().map(|parent| [point(parent), point(joint)]);
     let of_number = || {
         let own = colour(COLOURS[number % COLOURS.len()], 1.0)?;
@@ -85,10 +117,6 @@ pub(super) fn bones(
         TrackingState::Tracking => colour(&label.colour, 1.0).or_else(of_number),
         _ => colour(GREY, 1.0),
     };
-    let placed = |position: &Vector3<f64>| {
-        let orientation = quaternion(&Matrix3::identity());
-        Some(messages::Pose { position: vector(position), orientation })
-    };
     let head = at[Joint::Head.index()];
     let lines = LinePrimitive {
         r#type: LineType::LineList as i32,
@@ -100,25 +128,53 @@ pub(super) fn bones(
     };
     let sphere =
         SpherePrimitive { pose: placed(&head), size: vector(&Vector3::repeat(HEAD)), color };
-    let text = TextPrimitive {
-        pose: placed(&(head + Vector3::y() * 1.5 * HEAD)),
-        billboard: true,
-        font_size: 0.5 * HEAD,
-        color,
-        text: if label.display_name.is_empty() { name } else { &label.display_name }.into(),
-        ..TextPrimitive::default()
-    };
-    let entity = SceneEntity {
+    let name_shown = if label.display_name.is_empty() { name } else { &label.display_name };
+    let above = head + Vector3::y() * 1.5 * HEAD;
+    SceneEntity {
         timestamp: stamp(*capture),
         frame_id: WORLD.into(),
         id: name.into(),
-        lifetime: Some(Duration::new(0, KEPT_NS)),
+        lifetime: Some(Duration::new(0, POSE_KEPT_NS)),
         spheres: vec![sphere],
         lines: vec![lines],
-        texts: vec![text],
+        texts: vec![text(&above, 0.5 * HEAD, color, name_shown)],
         ..SceneEntity::default()
+    }
+}
+
+/// The cameras and what they see, with any lens, and their names.
+pub(super) fn cameras(rig: &Rig, at: Timestamp) -> SceneUpdate {
+    let one = |camera: &Camera| {
+        let (centre, color) = (camera.centre_in_world(), colour(GREY, 1.0));
+        let [width, height] = [camera.width, camera.height].map(f64::from);
+        let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]];
+        // Some wide lenses do not reach the corners of the image.
+        let ends = corners.map(|[x, y]| Some(centre + CAMERA * camera.ray(&Vector2::new(x, y))?));
+        let edges = (0..4).flat_map(|k| {
+            let beside = ends[k].zip(ends[(k + 1) % 4]).map(|(a, b)| [a, b]);
+            [ends[k].map(|end| [centre, end]), beside].into_iter().flatten()
+        });
+        let lines = LinePrimitive {
+            r#type: LineType::LineList as i32,
+            pose: placed(&Vector3::zeros()),
+            thickness: 2.0,
+            scale_invariant: true,
+            points: edges.flatten().map(|p| corner(&p)).collect(),
+            color,
+            ..LinePrimitive::default()
+        };
+        let above = centre + Vector3::y() * CAMERA_NAME;
+        SceneEntity {
+            timestamp: stamp(at),
+            frame_id: WORLD.into(),
+            id: camera.name.clone(),
+            lifetime: Some(Duration::new(CAMERA_KEPT_S, 0)),
+            lines: vec![lines],
+            texts: vec![text(&above, CAMERA_NAME, color, &camera.name)],
+            ..SceneEntity::default()
+        }
     };
-    SceneUpdate { entities: vec![entity], ..SceneUpdate::default() }
+    SceneUpdate { entities: rig.cameras.iter().map(one).collect(), ..SceneUpdate::default() }
 }
 
 fn transform(
@@ -136,12 +192,19 @@ fn transform(
     }
 }
 
-/// The joints of a performer, each in the frame of its parent.
-pub(super) fn joints(
+/// The joints of performers, each in the frame of its parent.
+pub(super) fn joints<'a>(
+    all: impl Iterator<Item = (&'a String, &'a Performer, &'a StampedPose)>,
+) -> FrameTransforms {
+    let all = all.flat_map(|(name, one, pose)| joints_of(name, &one.body, pose));
+    FrameTransforms { transforms: all.collect() }
+}
+
+fn joints_of(
     name: &str,
     body: &Skeleton,
     StampedPose { capture, pose, .. }: &StampedPose,
-) -> FrameTransforms {
+) -> [FrameTransform; JOINTS] {
     let frame = |joint: Joint| format!("{name}/{}", joint.name());
     let one = |joint: Joint| match joint.parent() {
         None => {
@@ -153,7 +216,7 @@ pub(super) fn joints(
             transform(*capture, [&frame(parent), &frame(joint)], rotation, offset)
         }
     };
-    FrameTransforms { transforms: Joint::ALL.map(one).into() }
+    Joint::ALL.map(one)
 }
 
 fn frame_of(camera: &Camera) -> String {
@@ -161,7 +224,7 @@ fn frame_of(camera: &Camera) -> String {
 }
 
 /// The world and the cameras in it.
-pub(super) fn cameras(rig: &Rig, at: Timestamp) -> FrameTransforms {
+pub(super) fn camera_frames(rig: &Rig, at: Timestamp) -> FrameTransforms {
     let z_up = so3::about(0, std::f64::consts::FRAC_PI_2);
     let world = transform(at, [ROOT, WORLD], &z_up, &Vector3::zeros());
     let one = |camera: &Camera| {
@@ -196,21 +259,36 @@ pub(super) fn calibration(camera: &Camera, at: Timestamp) -> CameraCalibration {
     }
 }
 
-/// The keypoints of an image, each person in a colour, paler with less confidence.
+/// The keypoints of an image, paler with less confidence.
 pub(super) fn keypoints(frame: &KeypointFrame) -> ImageAnnotations {
     let at = Timestamp::from_ns(frame.capture_time_ns);
-    let points = frame.people.iter().zip(COLOURS.iter().cycle()).map(|(person, shade)| {
+    let points = frame.people.iter().map(|person| {
         let seen = || person.points.chunks_exact(3).filter(|point| point[2] > 0.0);
         PointsAnnotation {
             timestamp: stamp(at),
             r#type: PointsType::Points as i32,
             points: seen().map(|p| Point2 { x: p[0].into(), y: p[1].into() }).collect(),
             outline_colors: seen()
-                .filter_map(|point| colour(shade, f64::from(point[2]).clamp(0.2, 1.0)))
+                .filter_map(|point| colour(MAGENTA, f64::from(point[2]).clamp(0.2, 1.0)))
                 .collect(),
             thickness: 2.0 * POINT,
             ..PointsAnnotation::default()
         }
     });
     ImageAnnotations { timestamp: stamp(at), points: points.collect(), ..Default::default() }
+}
+
+/// An event of a performer; of the stage: an empty name.
+pub(super) fn said(performer: &str, event: &Event) -> Log {
+    let camera = event.camera.as_deref().unwrap_or_default();
+    let times = if event.count > 1 { format!(" ({} times)", event.count) } else { String::new() };
+    let parts = [camera, &event.kind.replace('_', " "), &event.detail].map(str::to_owned);
+    let said = parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(": ");
+    Log {
+        timestamp: stamp(Timestamp::from_ns(event.capture_time_ns)),
+        level: log::Level::Info as i32,
+        message: said + &times,
+        name: performer.into(),
+        ..Log::default()
+    }
 }

@@ -47,7 +47,7 @@ const GATES: [Gate; 17] = [
     gate(Joint::LCollar, [0.070, 0.400, 0.000], [1.00, 0.00, 0.00], 0.040),
     gate(Joint::LCollar, [0.000, 0.375, 0.000], [0.20, 1.00, 0.00], 0.035),
     gate(Joint::LCollar, [0.095, 0.475, 0.000], [1.00, -1.20, 0.00], 0.030),
-    gate(Joint::LShoulder, [0.175, 0.428, 0.000], [1.00, 0.00, 0.00], 0.070),
+    gate(Joint::LShoulder, [0.160, 0.428, 0.000], [1.00, 0.00, 0.00], 0.130),
     gate(Joint::LElbow, [0.447, 0.428, 0.000], [1.00, 0.00, 0.00], 0.058),
     gate(Joint::LWrist, [0.711, 0.428, 0.000], [1.00, 0.00, 0.00], 0.030),
 ];
@@ -62,7 +62,9 @@ fn share(joint: Joint, p: &Vector3<f64>) -> f64 {
     let p = Vector3::new(x, p.y, p.z);
     let passed = GATES.iter().filter(|gate| gate.joint == joint).map(|gate| {
         let depth = (p - Vector3::from(gate.at)).dot(&Vector3::from(gate.towards).normalize());
-        (0.5 + 0.5 * depth / gate.half_width).clamp(0.0, 1.0)
+        let share = (0.5 + 0.5 * depth / gate.half_width).clamp(0.0, 1.0);
+        // Smooth, or the skin gets a crease.
+        share * share * (3.0 - 2.0 * share)
     });
     passed.product()
 }

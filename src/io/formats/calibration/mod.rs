@@ -257,6 +257,7 @@ impl Parts {
                     size[0], size[1]
                 ));
             }
+            notes.extend(odd_size(camera));
             if valid_name(name).is_err() {
                 notes.push(format!("camera {name} cannot be live: topics have no such names"));
             }
@@ -291,6 +292,29 @@ fn own_name(file: &Path) -> String {
         name.truncate(name.trim_end_matches(['_', '-', '.']).len());
     }
     if name.is_empty() { file.parent().map(stem).unwrap_or_default() } else { name }
+}
+
+/// A note if the principal point is far from the middle of the image, in a way that only a wrong size explains.
+fn odd_size(camera: &Calibrated) -> Option<String> {
+    const NEAR: f64 = 0.04;
+    let [width, height] = camera.size?.map(f64::from);
+    let centre = [camera.matrix[(0, 2)], camera.matrix[(1, 2)]];
+    let is_middle_of =
+        |size: [f64; 2]| (0..2).all(|axis| (centre[axis] / size[axis] - 0.5).abs() < NEAR);
+    let (name, [x, y]) = (&camera.name, centre);
+    if width != height && is_middle_of([height, width]) && !is_middle_of([width, height]) {
+        return Some(format!(
+            "camera {name}: the image size is {width} x {height}, but the principal point is in the middle of {height} x \
+             {width}: are width and height exchanged?"
+        ));
+    }
+    let is_inside = (0.0..width).contains(&x) && (0.0..height).contains(&y);
+    (!is_inside).then(|| {
+        format!(
+            "camera {name}: the principal point ({x:.0}, {y:.0}) is outside of the image of {width} x {height}: is that size \
+             the one of the calibration?"
+        )
+    })
 }
 
 /// Width and height as integers; files store them as reals.

@@ -155,7 +155,7 @@ impl Tables {
                 let other = self.places.entry(format!("{name} {key}")).or_insert(place.to_owned());
                 if camera.get(&key).is_some_and(|known| *known != value) {
                     return Err(Fault::Text(format!(
-                        "camera {name}: {key} is there twice, in {other} and in {place}; choose one with --set"
+                        "camera {name}: {key} is there twice, in {other} and in {place}; choose one with --set; if these are two cameras, rename one"
                     )));
                 }
             }

@@ -1,5 +1,6 @@
 //! Assigns folders to calibrated cameras.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::core::camera::Rig;
@@ -8,7 +9,8 @@ use crate::io::formats::ImportError;
 /// How a folder was assigned to a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MatchedBy {
-    /// By name, ignoring case, separators, a suffix `json` and leading zeros.
+    /// By name, ignoring case, separators, a suffix `json` and leading zeros; one name may be a part of the other. Or by
+    /// the last numbers of the names.
     Name,
     /// As the user says.
     Given,
@@ -74,14 +76,26 @@ pub(super) fn match_folders(
 ) -> Result<Vec<FolderMatch>, ImportError> {
     let (folders, has_name): (Vec<PathBuf>, Vec<bool>) = folders.into_iter().unzip();
     let by_given = given_cameras(root, &folders, rig, given)?;
-    let is_free = |camera: &usize| !by_given.contains(&Some(*camera));
-    let named =
-        |i: usize| by_name(&folders[i], rig).filter(|camera| has_name[i] && is_free(camera));
-    let named: Vec<Option<usize>> =
-        (0..folders.len()).map(|i| by_given[i].or_else(|| named(i))).collect();
-    // If two folders have one camera's name, the name decides for neither.
-    let alone = |c: &usize| named.iter().filter(|other| **other == Some(*c)).count() == 1;
-    let camera_of: Vec<Option<usize>> = named.iter().map(|c| c.filter(alone)).collect();
+    let mut camera_of = by_given.clone();
+    // A weaker likeness of names counts among those that a stronger one leaves.
+    for is_alike in [has_its_name, has_it_as_a_part, is_a_part_of_it] {
+        let is_free = |camera: &usize| !camera_of.contains(&Some(*camera));
+        let free: Vec<usize> = (0..rig.cameras.len()).filter(is_free).collect();
+        let named: Vec<Option<usize>> = (0..folders.len())
+            .map(|i| {
+                let is_open = has_name[i] && camera_of[i].is_none();
+                let is_its = |camera: &&usize| is_alike(&folders[i], &rig.cameras[**camera].name);
+                only(free.iter().filter(|_| is_open).filter(is_its)).copied()
+            })
+            .collect();
+        // If two folders have one camera's name, the name decides for neither.
+        for (i, camera) in named.iter().enumerate() {
+            if camera.is_some() && named.iter().filter(|other| *other == camera).count() == 1 {
+                camera_of[i] = *camera;
+            }
+        }
+    }
+    by_numbers(&folders, &has_name, rig, &mut camera_of);
     let mut free: Vec<usize> =
         (0..rig.cameras.len()).filter(|i| !camera_of.contains(&Some(*i))).collect();
     free.sort_by_cached_key(|&i| natural_key(&rig.cameras[i].name));
@@ -139,28 +153,55 @@ fn given_cameras(
     Ok(cameras)
 }
 
-/// The camera with the folder's or file's name, or else the one whose name is a part of it, if there is exactly
-/// one.
-fn by_name(folder: &Path, rig: &Rig) -> Option<usize> {
+/// Gives the rest of the folders the cameras with the same last numbers, if all have one, each another.
+fn by_numbers(folders: &[PathBuf], has_name: &[bool], rig: &Rig, camera_of: &mut [Option<usize>]) {
+    let left: Vec<usize> = (0..folders.len()).filter(|&i| camera_of[i].is_none()).collect();
+    let is_free = |camera: &usize| !camera_of.contains(&Some(*camera));
+    let free: Vec<usize> = (0..rig.cameras.len()).filter(is_free).collect();
+    let camera = |i: &usize| {
+        let number = frame_number(&stem_of(&folders[*i])).filter(|_| has_name[*i])?;
+        only(free.iter().filter(|c| frame_number(&rig.cameras[**c].name) == Some(number))).copied()
+    };
+    let Some(found) = left.iter().map(camera).collect::<Option<Vec<usize>>>() else { return };
+    if found.iter().collect::<BTreeSet<_>>().len() == found.len() {
+        left.into_iter().zip(found).for_each(|(i, camera)| camera_of[i] = Some(camera));
+    }
+}
+
+/// The one item, if there is exactly one.
+fn only<T>(mut all: impl Iterator<Item = T>) -> Option<T> {
+    all.next().filter(|_| all.next().is_none())
+}
+
+/// The name of a camera's folder or file without what does not name the camera.
+fn stem_of(folder: &Path) -> String {
     let whole = file_name(folder);
     let endings = [".json", ".csv", ".npy", ".h5"];
     let stem = endings.iter().find_map(|ending| whole.strip_suffix(ending)).unwrap_or(&whole);
     // DeepLabCut adds the name of its network.
-    let stem = stem.split("DLC_").next().unwrap_or(stem);
-    let cameras: Vec<String> = rig.cameras.iter().map(|camera| plain_name(&camera.name)).collect();
-    let only = |is_its: &dyn Fn(&str) -> bool| {
-        let mut all = (0..cameras.len()).filter(|&i| is_its(&cameras[i]));
-        all.next().filter(|_| all.next().is_none())
-    };
-    let words = stem.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
+    stem.split("DLC_").next().unwrap_or(stem).to_owned()
+}
+
+fn has_its_name(folder: &Path, camera: &str) -> bool {
+    let camera = plain_name(camera);
+    [file_name(folder), stem_of(folder)].iter().any(|name| plain_name(name) == camera)
+}
+
+fn has_it_as_a_part(folder: &Path, camera: &str) -> bool {
+    has_words(&stem_of(folder), &plain_name(camera))
+}
+
+fn is_a_part_of_it(folder: &Path, camera: &str) -> bool {
+    has_words(camera, &plain_name(&stem_of(folder)))
+}
+
+/// Whether some words of a name, one after the other, are another name, as [`plain_name`] has it.
+fn has_words(name: &str, other: &str) -> bool {
+    let words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
     let words: Vec<&str> = words.collect();
     let run = |from: usize, to: usize| plain_name(&words[from..to].concat());
-    let has = |camera: &str| {
-        let upto = |from: usize| (from + 1..=words.len()).any(|to| run(from, to) == camera);
-        (0..words.len()).any(upto)
-    };
-    only(&|camera| camera == plain_name(&whole) || camera == plain_name(stem))
-        .or_else(|| only(&|camera| !camera.is_empty() && has(camera)))
+    let upto = |from: usize| (from + 1..=words.len()).any(|to| run(from, to) == other);
+    !other.is_empty() && (0..words.len()).any(upto)
 }
 
 /// The last part of a path, for names and messages.
@@ -171,13 +212,31 @@ pub(super) fn file_name(path: &Path) -> String {
 /// The last run of digits of a name without its suffix `.json` or `_keypoints.json`. `None` without
 /// digits, or if the number is too large.
 pub(super) fn frame_number(name: &str) -> Option<u64> {
+    numbers(name).next_back()?.parse().ok()
+}
+
+/// More runs of digits of a name are not compared.
+const MOST_NUMBERS: usize = 8;
+
+/// The frame numbers of names that belong together: the last runs of digits that are not the same in all, so 12 and
+/// 13 in `12_cam1.jpg` and `13_cam1.jpg`. `None` as for [`frame_number`].
+pub(super) fn frame_numbers<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Vec<Option<u64>> {
+    let last = |name: &'a str, k: usize| numbers(name).nth_back(k);
+    let differs = |k: &usize| {
+        let mut all = names.clone().map(|name| last(name, *k));
+        all.next().is_some_and(|first| all.any(|other| other != first))
+    };
+    let most =
+        names.clone().map(|name| numbers(name).take(MOST_NUMBERS).count()).min().unwrap_or(0);
+    let k = (0..most).find(differs).unwrap_or(0);
+    names.map(|name| last(name, k)?.parse().ok()).collect()
+}
+
+/// The runs of digits of a name.
+fn numbers(name: &str) -> impl DoubleEndedIterator<Item = &str> {
     let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
     let stem = stem.strip_suffix("_keypoints").unwrap_or(stem);
-    let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
-    let start = stem[..end]
-        .rfind(|c: char| !c.is_ascii_digit())
-        .map_or(0, |at| at + stem[at..].chars().next().map_or(1, char::len_utf8));
-    stem[start..end].parse().ok()
+    stem.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty())
 }
 
 #[cfg(test)]
@@ -194,6 +253,17 @@ mod tests {
         assert_eq!(plain_name("json"), "json");
         assert_eq!((&*plain_name("cam0"), &*plain_name("cam_00")), ("cam0", "cam0"));
         assert_eq!((&*plain_name("cam_101"), &*plain_name("10_0")), ("cam101", "100"));
+    }
+
+    #[test]
+    fn the_number_of_a_frame_is_the_last_one_that_differs() {
+        let of = |names: &[&str]| frame_numbers(names.iter().copied());
+        assert_eq!(of(&["000012_cam1.jpg", "000013_cam1.jpg"]), [Some(12), Some(13)]);
+        assert_eq!(of(&["c1_8_keypoints.json", "c1_9_keypoints.json"]), [Some(8), Some(9)]);
+        assert_eq!(of(&["t1_5.json", "t2_5.json", "t2_6.json"]), [Some(5), Some(5), Some(6)]);
+        assert_eq!(of(&["7_cam1.jpg"]), [Some(1)]);
+        assert_eq!(of(&["a.jpg", "b2.jpg"]), [None, Some(2)]);
+        assert_eq!(of(&[]), []);
     }
 
     #[test]

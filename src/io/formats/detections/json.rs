@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 
-use super::folders::frame_number;
+use super::folders::frame_numbers;
 use super::{BOM, CameraReport, RawPerson, table};
 use crate::core::detections::Detection;
 
@@ -81,11 +81,11 @@ pub(super) fn frames(file: &Value) -> Option<BTreeMap<u64, Vec<&Value>>> {
         // Nobody was seen at all.
         Value::Array(all) if all.is_empty() => {}
         Value::Array(all) if all.iter().any(|one| one.get("image_id").is_some()) => {
-            for person in all {
-                let number = match person.get("image_id")? {
-                    Value::String(name) => frame_number(name)?,
-                    number => number.as_u64()?,
-                };
+            let ids = || all.iter().map(|person| person.get("image_id"));
+            let names = ids().filter_map(|id| id?.as_str());
+            let mut named = frame_numbers(names).into_iter();
+            for (person, id) in all.iter().zip(ids()) {
+                let number = if id?.is_string() { named.next()?? } else { id?.as_u64()? };
                 frames.entry(number).or_default().push(person);
             }
         }
@@ -100,8 +100,9 @@ pub(super) fn frames(file: &Value) -> Option<BTreeMap<u64, Vec<&Value>>> {
             }
         }
         Value::Object(all) if all.values().any(holds_people) && !holds_people(file) => {
-            for (name, frame) in all {
-                frames.entry(frame_number(name)?).or_default().push(frame);
+            let numbers = frame_numbers(all.keys().map(String::as_str));
+            for (number, frame) in numbers.into_iter().zip(all.values()) {
+                frames.entry(number?).or_default().push(frame);
             }
         }
         _ => return None,

@@ -123,7 +123,7 @@ pub struct DetectionOptions {
 /// A folder with the detections of each camera: a subfolder with a file for each frame, or one file.
 ///
 /// An iterator of [`Detections`] in order of capture time, then of camera index. Frame numbers are
-/// the last digits of the file names, or are in the files; the capture time is the frame number divided by the
+/// the last digits of the file names that differ, or are in the files; the capture time is the frame number divided by the
 /// frame rate. Files of frames are read when they are needed. After an error the iterator ends.
 pub struct DetectionFolder {
     order: PointOrder,

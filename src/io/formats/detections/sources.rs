@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::folders::{file_name, frame_number};
+use super::folders::{file_name, frame_number, frame_numbers};
 use super::{CameraReport, Frames, json, table};
 use crate::core::time::Timestamp;
 use crate::io::formats::ImportError;
@@ -124,10 +124,15 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
             }
             continue;
         }
-        // YOLO's are in a folder of their own.
-        let inner = path.join("labels");
-        let files = entries(if inner.is_dir() { &inner } else { &path })?;
-        let files: Vec<PathBuf> = files.into_iter().filter(|file| is_frame(file)).collect();
+        let frames = |folder: &Path| -> Result<Vec<PathBuf>, ImportError> {
+            Ok(entries(folder)?.into_iter().filter(|file| is_frame(file)).collect())
+        };
+        // YOLO's are in a folder of their own, others perhaps.
+        let (labels, json) = (path.join("labels"), path.join("json"));
+        let mut files = frames(if labels.is_dir() { &labels } else { &path })?;
+        if files.is_empty() && json.is_dir() {
+            files = frames(&json)?;
+        }
         match &files[..] {
             [] => {}
             [only] if holds_all(only, false) || frame_number(&file_name(only)).is_none() => {
@@ -137,7 +142,9 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
                 if json::parse(&fs::read(first).unwrap_or_default())
                     .is_ok_and(|file| json::is_take(&file))
                 {
-                    let what = "its folder holds several takes; leave one of them in it".into();
+                    let what = "its folder holds several takes; leave one of them in it; if \
+                                each is of another camera, import this folder"
+                        .into();
                     return Err(ImportError::NotDetections { path: first.clone(), what });
                 }
                 add(path, Content::Files(files));
@@ -207,8 +214,10 @@ fn frame_files(
     fps: f64,
 ) -> Result<Vec<(u64, PathBuf)>, ImportError> {
     let mut files = Vec::new();
-    for path in paths {
-        match frame_number(&file_name(&path)).filter(|frame| has_time(*frame, fps)) {
+    let names: Vec<String> = paths.iter().map(|path| file_name(path)).collect();
+    let numbers = frame_numbers(names.iter().map(String::as_str));
+    for (path, number) in paths.into_iter().zip(numbers) {
+        match number.filter(|frame| has_time(*frame, fps)) {
             Some(frame) => files.push((frame, path)),
             None => return Err(ImportError::FrameNumber { path }),
         }

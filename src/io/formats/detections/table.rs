@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::folders::frame_number;
+use super::folders::frame_numbers;
 use super::{CameraReport, RawPerson, h5};
 use crate::core::detections::Detection;
 
@@ -21,7 +21,7 @@ pub(super) struct Table {
 type Column = (String, usize, usize);
 
 /// Reads a CSV. DeepLabCut's has lines `scorer`, `individuals` (of several), `bodyparts` and `coords` at the top;
-/// others have one line: `frame`, perhaps `camera` and `person`, then `NAME_x`, `NAME_y` and perhaps
+/// others have one line: `frame` or `image`, perhaps `camera` and `person`, then `NAME_x`, `NAME_y` and perhaps
 /// `NAME_c` for each point (or `x0`, `y0`, `c0`).
 ///
 /// # Errors
@@ -29,7 +29,16 @@ type Column = (String, usize, usize);
 pub(super) fn csv(bytes: &[u8]) -> Result<Table, String> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(bytes);
     let lines = reader.records().collect::<Result<Vec<_>, _>>();
-    of_lines(&lines.map_err(|error| format!("not CSV ({error})"))?)
+    let lines = lines.map_err(|error| format!("not CSV ({error})"))?;
+    if let Some(first) = lines.first()
+        && first.len() == 1
+        && let Some(separator) = [';', '\t'].into_iter().find(|one| first.as_slice().contains(*one))
+    {
+        return Err(format!(
+            "{separator:?} separates its columns; write it with commas, and numbers with points"
+        ));
+    }
+    of_lines(&lines)
 }
 
 /// Reads an h5 of DeepLabCut.
@@ -89,12 +98,33 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
     if !fields.contains_key("frame") && fields.contains_key("person") {
         return Err("it has a column of people but no column frame".into());
     }
+    let is_time = |name: &&str| TIMES.contains(&&*plain(name));
+    let rows = lines.iter().enumerate().skip(at_top.max(1));
+    let texts = |field: &str| -> Option<Vec<&str>> {
+        let at = *fields.get(field)?;
+        Some(rows.clone().map(|(_, line)| line.get(at).unwrap_or_default().trim()).collect())
+    };
+    // The name of a video is the same in all rows.
+    let images = texts("image").filter(|names| names.iter().any(|name| *name != names[0]));
+    let numbered = texts("frame").or(images).or_else(|| texts("index"));
+    if numbered.is_none()
+        && let Some(time) = lines.first().and_then(|header| header.iter().find(is_time))
+    {
+        return Err(format!(
+            "it has a column {time} but no column frame; add one with the number of the frame"
+        ));
+    }
     if columns.iter().all(|(_, (_, _, axis))| *axis != 1) {
         return Err("no columns of points; name them NAME_x, NAME_y and NAME_c".into());
     }
     let mut table = Table { names: Some(names), cameras: BTreeMap::new() };
-    for (i, line) in lines.iter().enumerate().skip(at_top.max(1)) {
-        row(&mut table, line, i, &fields, &columns)
+    let numbers = numbered.map(|texts| numbers(&texts));
+    for (k, (i, line)) in rows.enumerate() {
+        let number = numbers.as_ref().map_or(Some(i as u64 - 1), |numbers| numbers[k]);
+        let number =
+            number.ok_or_else(|| "its frame number is no whole number from 0 on".to_owned());
+        number
+            .and_then(|number| row(&mut table, line, number, &fields, &columns))
             .map_err(|what| format!("line {}: {what}", i + 1))?;
     }
     if let Some(names) = &table.names
@@ -106,8 +136,9 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
 }
 
 const TOP: [&str; 4] = ["scorer", "individuals", "bodyparts", "coords"];
-const FIELDS: [(&str, &[&str]); 4] = [
+const FIELDS: [(&str, &[&str]); 5] = [
     ("frame", FRAME),
+    ("image", &["image", "imagename", "imageid", "imagepath", "filename", "file"]),
     // Of the rows, as pandas writes it.
     ("index", &["index", "unnamed0", ""]),
     ("camera", &["camera", "cam", "view"]),
@@ -116,6 +147,19 @@ const FIELDS: [(&str, &[&str]); 4] = [
 /// Names of the number of a frame, as [`plain`] has them.
 pub(super) const FRAME: &[&str] =
     &["frame", "framenumber", "frameid", "frameidx", "frameindex", "framenum"];
+
+/// Names of a time.
+const TIMES: [&str; 9] = [
+    "t",
+    "time",
+    "times",
+    "timems",
+    "timesec",
+    "timestamp",
+    "timestamps",
+    "timestampms",
+    "seconds",
+];
 
 /// A field's name in lower case, without what separates its words.
 pub(super) fn plain(name: &str) -> String {
@@ -149,25 +193,24 @@ fn point_column(cell: &str) -> Option<(String, usize)> {
     Some((number.parse::<usize>().ok()?.to_string(), axis(first)?))
 }
 
+/// The frame numbers of the rows, from the cells of a column. They may be names of images.
+fn numbers(texts: &[&str]) -> Vec<Option<u64>> {
+    let number = |text: &&str| text.parse::<f64>().ok();
+    if !texts.iter().any(|text| number(text).is_some()) {
+        return frame_numbers(texts.iter().copied());
+    }
+    let is_whole = |value: &f64| *value >= 0.0 && value.fract() == 0.0;
+    texts.iter().map(|text| number(text).filter(is_whole).map(|value| value as u64)).collect()
+}
+
 fn row(
     table: &mut Table,
     line: &csv::StringRecord,
-    i: usize,
+    number: u64,
     fields: &BTreeMap<&str, usize>,
     columns: &[(usize, Column)],
 ) -> Result<(), String> {
     let cell = |name: &str| fields.get(name).and_then(|at| line.get(*at)).map(str::trim);
-    // DeepLabCut's index may be the name of an image.
-    let of = |text: &str| match text.parse::<f64>() {
-        Ok(value) if value >= 0.0 && value.fract() == 0.0 => Some(value as u64),
-        Ok(_) => None,
-        Err(_) => frame_number(text),
-    };
-    let number = cell("frame").or(cell("index")).map(of);
-    let number = match number {
-        Some(number) => number.ok_or("its frame number is no whole number from 0 on")?,
-        None => i as u64 - 1,
-    };
     let camera = cell("camera").unwrap_or_default();
     let (frames, report) = table.cameras.entry(camera.to_owned()).or_default();
     let points = columns.iter().map(|(_, (_, point, _))| point + 1).max().unwrap_or(0);

@@ -54,23 +54,23 @@ export class Template {
       this.joints[j].fromArray(joints, 3 * j);
     });
     this.turns.forEach(([j, part], bone) => {
-      if (part === 1) return this.put(bone, j, this.world[j], 1, out);
+      if (part === 1) return this.put(bone, j, this.world[j], this.size.setScalar(1), out);
       this.turn.slerpQuaternions(this.world[this.parents[j]], this.world[j], part);
       this.put(bone, j, this.turn, this.bulged(j, rotations), out);
     });
   }
 
-  /** The scale of the bones between a joint and its parent. */
+  /** The scale of the bones between a joint and its parent, by axis. */
   bulged(j, rotations) {
-    const [bent, ...along] = this.bulge[j];
+    const { bent, raised, axes } = this.bulge[j];
     const { x, y, z, w } = this.local.fromArray(rotations, 4 * j);
-    const sine = 2 * w * (along[0] * x + along[1] * y + along[2] * z);
-    return 1 + bent * 2 * (x * x + y * y + z * z) + sine;
+    const more = bent * 2 * (x * x + y * y + z * z) + raised * 2 * w * z;
+    return this.size.fromArray(axes).multiplyScalar(more).addScalar(1);
   }
 
   /** A bone that turns about joint `j`. */
   put(bone, j, turn, scale, out) {
-    this.matrix.makeRotationFromQuaternion(turn).scale(this.size.setScalar(scale));
+    this.matrix.makeRotationFromQuaternion(turn).scale(scale);
     this.matrix.setPosition(this.size.copy(this.rest[j]).applyMatrix4(this.matrix).negate().add(this.joints[j]));
     this.matrix.toArray(out, 16 * bone);
   }
