@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::overwrite::{Overwrite, is_same_file, must_be};
+use super::overwrite::{Overwrite, check_ending, is_same_file};
 use super::solve::{Progress, decoder, lost};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
@@ -65,7 +65,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    must_be(&arguments.out, "mcap")?;
+    check_ending(&arguments.out, "mcap")?;
     arguments.overwrite.check(&arguments.out)?;
     if let Some(take) = arguments.files.iter().find(|take| is_same_file(take, &arguments.out)) {
         let message = format!("{} is one of the takes; choose another --out", take.display());

@@ -6,7 +6,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::Ended;
-use super::overwrite::{Overwrite, must_be};
+use super::overwrite::{Overwrite, check_ending};
 use super::solve::{Progress, lost};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
@@ -70,7 +70,7 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         arguments.overwrite.check_beside(&arguments.file, out)?;
-        must_be(out, "toml")?;
+        check_ending(out, "toml")?;
     }
     let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     let mut recording = Recording::open(&arguments.file)?;

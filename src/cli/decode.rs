@@ -8,7 +8,7 @@ use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::overwrite::{Overwrite, must_be};
+use super::overwrite::{Overwrite, check_ending};
 use super::solve::decoder;
 use super::span::Times;
 use super::terminal::{complain, say};
@@ -53,7 +53,7 @@ struct Decoded {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     arguments.overwrite.check_beside(&arguments.file, &arguments.out)?;
-    must_be(&arguments.out, "mcap")?;
+    check_ending(&arguments.out, "mcap")?;
     let decoder = decoder(arguments.weights.as_deref())?;
     let mut reader = Reader::open(&arguments.file)?;
     let weights = fingerprint(&decoder);

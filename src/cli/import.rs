@@ -9,7 +9,7 @@ use tempfile::TempPath;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
-use super::overwrite::{Overwrite, is_no_input, must_be};
+use super::overwrite::{Overwrite, check_ending, is_no_input};
 use super::rig::{ConventionArguments, tell};
 use super::solve::Progress;
 use super::terminal::{complain, note, progress, say, table};
@@ -46,8 +46,8 @@ gives any. This is a file for --points, with indices from 0 or the detector's na
   nose = 0
   left_shoulder = \"shoulder_L\"
 
-The camera of a file is found by its name, or by the number at its end, or given by --camera. Files without a camera's name are
-given to the other cameras by order. If the images show that they belong to others of these cameras,
+The camera of a file is found by its name, or by the last number of its name. --camera gives it
+otherwise. Files without such a name are given to the other cameras by order. If the images show that they belong to others of these cameras,
 they are exchanged, and the list says so. Without --unit, the performer's height corrects the unit;
 without --up, the performer tells the up axis where nothing else does.
 
@@ -145,7 +145,7 @@ impl Arguments {
             [first, folder] if first.as_os_str() == "openpose" => Ok(folder),
             _ => Err(Failure::new(
                 Exit::Usage,
-                "give one folder, the one that holds the folders of the cameras".to_owned(),
+                "give one folder: the one that holds the folders of the cameras".to_owned(),
             )),
         }
     }
@@ -157,7 +157,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     for input in arguments.points.iter().map(PathBuf::as_path).chain([path]) {
         is_no_input(input, &arguments.out)?;
     }
-    must_be(&arguments.out, "mcap")?;
+    check_ending(&arguments.out, "mcap")?;
     let order = arguments.format.as_deref().map(PointOrder::named).transpose()?;
     let fps = frame_rate(arguments, path)?;
     let (cameras, convention) = (arguments.camera.clone(), arguments.convention.clone());

@@ -1,4 +1,4 @@
-//! `--overwrite`: without it, commands do not replace files.
+//! Checks before a file is written: `--overwrite`, the inputs, the ending of its name.
 
 use std::path::Path;
 
@@ -32,7 +32,7 @@ impl Overwrite {
 }
 
 /// Fails if a file to write has the ending of another format than `ending`.
-pub(crate) fn must_be(path: &Path, ending: &str) -> Result<(), Failure> {
+pub(crate) fn check_ending(path: &Path, ending: &str) -> Result<(), Failure> {
     const ENDINGS: [&str; 24] = [
         "bvh", "c3d", "csv", "fbx", "glb", "gltf", "h5", "html", "jpg", "json", "mcap", "mot",
         "mp4", "npy", "npz", "png", "svg", "toml", "trc", "txt", "usd", "usda", "yaml", "yml",

@@ -10,7 +10,7 @@ use super::Ended;
 use super::bus::{BusArguments, open, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::Exit;
-use super::overwrite::{Overwrite, must_be};
+use super::overwrite::{Overwrite, check_ending};
 use super::terminal::{complain, note, say, table, ticker};
 use crate::cli::tools::inbox::{Inbox, Received};
 use crate::cli::tools::recorder::{Recorded, Recorder, Said};
@@ -68,7 +68,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let made = std::fs::create_dir_all(path);
         made.map_err(|source| RecordError::Write { path: path.clone(), source })?;
     } else {
-        must_be(path, "mcap")?;
+        check_ending(path, "mcap")?;
         arguments.overwrite.check(path)?;
     }
     let config = arguments.bus.settings()?;

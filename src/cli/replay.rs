@@ -7,7 +7,7 @@ use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::overwrite::{Overwrite, must_be};
+use super::overwrite::{Overwrite, check_ending};
 use super::solve::decoder;
 use super::terminal::{complain, say, table};
 use crate::config::Config;
@@ -73,7 +73,7 @@ impl From<ReplayError> for Failure {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         arguments.overwrite.check_beside(&arguments.file, out)?;
-        must_be(out, "mcap")?;
+        check_ending(out, "mcap")?;
     }
     let (messages, take) = read(&arguments.file)?;
     let of_file = |failure: Failure| {

@@ -10,7 +10,7 @@ use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
 use super::export::{Solved, file_start, first_pose, frame_from, path_of, read};
 use super::failure::{Exit, Failure};
-use super::overwrite::{Overwrite, is_no_input, is_same_file, must_be};
+use super::overwrite::{Overwrite, check_ending, is_no_input, is_same_file};
 use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
 use super::span::Times;
@@ -81,7 +81,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             return Err(Failure::new(Exit::Usage, message));
         }
         arguments.map.iter().try_for_each(|map| is_no_input(map, out))?;
-        must_be(out, "bvh")?;
+        check_ending(out, "bvh")?;
     }
     let mut retarget = character(&arguments.skeleton, arguments.map.as_deref())?;
     match (&arguments.from, &arguments.out) {

@@ -6,7 +6,7 @@ use clap::{Args, Subcommand, ValueEnum};
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::overwrite::{Overwrite, must_be};
+use super::overwrite::{Overwrite, check_ending};
 use super::terminal::{complain, note, say, table};
 use crate::core::body::Joint;
 use crate::core::camera::{Camera, Rig};
@@ -231,7 +231,7 @@ fn run_convert(arguments: &Convert) -> Ended {
 fn run_show(arguments: &Show) -> Ended {
     if let Some(out) = &arguments.out {
         arguments.overwrite.check_beside(&arguments.file, out)?;
-        must_be(out, "svg")?;
+        check_ending(out, "svg")?;
     }
     let rig = of_file(&arguments.file, &arguments.convention)?;
     say(&table(&rig.cameras.iter().map(row).collect::<Vec<_>>()));

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
-use super::overwrite::{Overwrite, must_be};
+use super::overwrite::{Overwrite, check_ending};
 use super::terminal::{progress, say};
 use crate::core::body::{Pose, Skeleton};
 use crate::io::formats::keypoint_format;
@@ -109,7 +109,7 @@ impl NoiseName {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let frames = frame_count(arguments)?;
-    must_be(&arguments.out, "mcap")?;
+    check_ending(&arguments.out, "mcap")?;
     arguments.overwrite.check(&arguments.out)?;
     let crowd = crowd(arguments, frames)?;
     let bar = progress(frames, "frames");

@@ -25,25 +25,28 @@ const GRACE: Duration = Duration::from_millis(300);
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Actions:
-  start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take, so that
-         `replay` can verify it alone: they keep calibration, body, latency and time offsets, search the
-         performer anew, and publish no poses for some tenths of a second.
+  start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take,
+         so that `replay` can verify it alone: they keep calibration, body, latency and time
+         offsets, search the performer anew, and publish no poses for some tenths of a second.
   stop   Recorders end the file, one second later. Nodes go on.
   reset  Nodes forget the performers' bodies, or that of performer NAME: somebody else comes.
-  name   Performer NAME is called NEW_NAME from now on, also in the topics. A performer who had this name
-         and is not here any more loses it.
-  follow The person at X,Z (metres, on the floor) becomes a performer, also outside of [stage] region.
+  name   Performer NAME is called NEW_NAME from now on, also in the topics. A performer who had
+         this name and is not here any more loses it.
+  follow The person at X,Z (metres, on the floor) becomes a performer, also outside of [stage]
+         region.
   drop   Performer NAME is not solved any more, until somebody follows this person.
-  label  Sets the name and the colour that programs show for performer NAME, until the node ends. An
-         option that is not given is set to its default.
+  label  Sets the name and the colour that programs show for performer NAME, until the node
+         ends. An option that is not given is set to its default.
   lock   Keeps the body of performer NAME at a reset.
   unlock Ends the lock: a reset forgets the body again.
-  mend   Nodes correct the calibration of a moved camera, once its new pose is known (event camera_moved).
-         The node overwrites its TOML calibration file and keeps a copy; another format stays unchanged.
-  clock  Nodes add MS milliseconds to the capture times of camera NAME, beyond its calibration and in place of
-         what they added before. A node does this by itself if it finds a wrong clock, and may change it again.
-  note   Recorders add --note and --mark to takes.csv in their folder, for NAME, or else for the running
-         take or the last one.
+  mend   Nodes correct the calibration of a moved camera, once its new pose is known (event
+         camera_moved). The node overwrites its TOML calibration file and keeps a copy; another
+         format stays unchanged.
+  clock  Nodes add MS milliseconds to the capture times of camera NAME, beyond its calibration
+         and in place of what they added before. A node does this by itself if it finds a wrong
+         clock, and may change it again.
+  note   Recorders add --note and --mark to takes.csv in their folder, for NAME, or else for the
+         running take or the last one.
 
 Prints who answered. Exit code 13: nobody did. Exit code 6: no recorder or no node answered, or one
 refused.

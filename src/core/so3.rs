@@ -10,6 +10,9 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 /// Below this angle (radians) series replace the closed forms.
 const SMALL_ANGLE: f64 = 1e-5;
 
+/// The rotation from our world, with y up, to one with z up: (x, y, z) becomes (z, x, y).
+pub const Z_UP: Matrix3<f64> = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+
 /// The matrix \[v\]x with \[v\]x w = v x w.
 pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
     v.cross_matrix()

@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use super::reading::Reading;
 use crate::core::camera::{Camera, Lens};
+use crate::core::so3;
 
 /// What is wrong, and what fixes it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -115,8 +116,7 @@ pub(super) fn poses(reading: &Reading) -> Vec<Hypothesis> {
     };
     let fix = "write the pose that takes the world to the camera";
     // The world of the file may have had z up.
-    let z_up = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
-    for up in [Matrix3::identity(), z_up] {
+    for up in [Matrix3::identity(), so3::Z_UP] {
         let (back, transposed) = (up * transposed, up * transposed * up);
         let finding = Finding::new("pose_inverted", "its pose takes the camera to the world", fix);
         add(finding, transposed, -(back * translation));

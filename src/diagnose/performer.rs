@@ -32,7 +32,8 @@ const USUAL_M: f64 = 1.72;
 /// Largest |ln(height / mean)| of an adult: 1.45 to 2.04 m.
 const ADULTS: f64 = 0.17;
 
-/// Knees are bent if both together are so far before the lines from hip to ankle, as a part of the trunk.
+/// The knees are bent if they are further than this from the middle of hip and ankle: the sum of both, as a part of
+/// the trunk's length.
 const BENT: f64 = 0.2;
 
 fn at(points: &Points, point: Keypoint) -> Option<Vector3<f64>> {
@@ -147,7 +148,7 @@ fn sides(frames: &[Points]) -> Option<Finding> {
         Some(bent).filter(|bent| bent.norm() > BENT * trunk(points).unwrap_or_default().norm())
     };
     let feet = forwards(&feet).map(|part| ("feet point", part));
-    // Of straight legs, a few frames with large errors remain.
+    // If the legs are straight, only some frames with large errors look bent.
     let bent = frames.iter().filter(|points| knees(points).is_some()).count();
     let bends = || Some(("knees bend", forwards(&knees).filter(|_| 5 * bent > frames.len())?));
     let (who, part) = feet.or_else(bends)?;

@@ -213,9 +213,6 @@ fn shuffle(take: &mut Take, camera: usize) {
     take.reorder(camera, |i, _| order[i] as usize);
 }
 
-/// The rotation from our world to one with z up.
-const Z_UP: Matrix3<f64> = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
-
 /// Faults, and what they are called.
 const FAULTS: [Fault; 44] = [
     one("image mirrored", &["image_mirrored"], |take, c| {
@@ -263,7 +260,7 @@ const FAULTS: [Fault; 44] = [
         take.each(|take, c| take.camera(c).translation *= 1000.0);
     }),
     all("wrong --up", &["up_axis"], |take, _| {
-        let turn = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+        let turn = so3::Z_UP;
         take.each(|take, c| take.camera(c).rotation *= turn);
     }),
     one("image of half the size", &["image_scaled"], |take, c| {
@@ -296,12 +293,12 @@ const FAULTS: [Fault; 44] = [
     }),
     one("pose inverted, in a world with z up", &["pose_inverted"], |take, c| {
         let Camera { rotation, translation, .. } = take.rig.cameras[c].clone();
-        let back = Z_UP * rotation.transpose();
-        take.pose(c, back * Z_UP, -(back * translation));
+        let back = so3::Z_UP * rotation.transpose();
+        take.pose(c, back * so3::Z_UP, -(back * translation));
     }),
     one("rotation transposed, in a world with z up", &["rotation_transposed"], |take, c| {
         let Camera { rotation, translation, .. } = take.rig.cameras[c].clone();
-        take.pose(c, Z_UP * rotation.transpose() * Z_UP, translation);
+        take.pose(c, so3::Z_UP * rotation.transpose() * so3::Z_UP, translation);
     }),
     all("all poses inverted", &["pose_inverted"], |take, _| {
         take.each(|take, c| {

@@ -838,7 +838,7 @@ fn rows_of_a_table_are_frames_by_their_number() {
     assert!(error.contains("a column timestamp but no column frame"), "{error}");
     write(root.path(), "cam1.csv", "frame;nose_x;nose_y\n0;1,5;2,5\n");
     let error = open().err().unwrap().to_string();
-    assert!(error.contains("';' separates its columns"), "{error}");
+    assert!(error.contains("';' is between its columns"), "{error}");
     for camera in ["cam1.csv", "cam2.csv"] {
         write(root.path(), camera, "image,nose_x,nose_y\nimg_00080.png,1,2\nimg_00082.png,1,2\n");
     }

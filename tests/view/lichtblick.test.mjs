@@ -45,8 +45,8 @@ async function opened(kind, url) {
 }
 
 /**
- * Of the 3D panel, how many times as high as wide what has each of `COLOURS` is; 0 without. Of the images, the number of
- * pixels in the colour of keypoints, magenta.
+ * For each of `COLOURS`, the height of what has this colour in the 3D panel, divided by its width; 0 if there is nothing. And
+ * the number of pixels with the colour of keypoints, magenta, in the images.
  */
 async function seen(page) {
   const png = (await page.screenshot()).toString("base64");
@@ -55,7 +55,7 @@ async function seen(page) {
     const context = new OffscreenCanvas(image.width, image.height).getContext("2d");
     context.drawImage(image, 0, 0);
     const { data } = context.getImageData(0, 0, image.width, image.height);
-    const [xs, ys] = [Object.keys(colours), Object.keys(colours)].map((names) => Object.fromEntries(names.map((name) => [name, []])));
+    const places = Object.fromEntries(Object.keys(colours).map((name) => [name, []]));
     let keypoints = 0;
     for (let at = 0; at < data.length; at += 4) {
       const [x, y] = [(at / 4) % image.width, Math.floor(at / 4 / image.width)];
@@ -66,13 +66,15 @@ async function seen(page) {
       }
       for (const [name, colour] of Object.entries(colours)) {
         if (x < 320 || y > 640 || colour.some((value, k) => Math.abs(value - data[at + k]) > 12)) continue;
-        xs[name].push(x);
-        ys[name].push(y);
+        places[name].push([x, y]);
       }
     }
-    const extent = (all) => Math.max(...all) - Math.min(...all) + 1;
-    const heights = Object.keys(colours).map((name) => [name, xs[name].length > 50 ? extent(ys[name]) / extent(xs[name]) : 0]);
-    return { ...Object.fromEntries(heights), keypoints };
+    const extent = (all, axis) => {
+      const values = all.map((place) => place[axis]);
+      return Math.max(...values) - Math.min(...values) + 1;
+    };
+    const shapes = Object.entries(places).map(([name, all]) => [name, all.length > 50 ? extent(all, 1) / extent(all, 0) : 0]);
+    return { ...Object.fromEntries(shapes), keypoints };
   }, [png, COLOURS]);
 }
 

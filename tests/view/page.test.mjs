@@ -518,7 +518,8 @@ test("Foxglove and Lichtblick get the performers and the cameras of a live stage
     client.binaryType = "arraybuffer";
     const [topics, counts, last] = [new Map(), {}, {}];
     const wanted = {
-      "/performers": 20, "/cameras": 3, "/tf": 20, "/tf/cameras": 3, "/events": 1, "/camera/cam01/calibration": 1, "/camera/cam04/keypoints": 20,
+      "/performers": 20, "/cameras": 3, "/tf": 20, "/tf/cameras": 3, "/events": 1,
+      "/camera/cam01/calibration": 1, "/camera/cam04/keypoints": 20,
       "mocap/stage/actor/actor/pose": 20, "mocap/stage/rig": 3, "the same skeleton again": 1,
     };
     const count = (name) => (counts[name] = (counts[name] ?? 0) + 1);

@@ -45,13 +45,12 @@ The ending of each file chooses the format:
 In all but .npz y is up, if --up does not say z. At rest the body is a T-pose (or what --rest says)
 that faces +z; in .mot it stands with hanging arms. All rotations are zero then. In .glb and .usda
 they are zero with --axes world only; else the joints have y along their bones. In .usda a `:` of a
-joint's name is `_`. Frames and times count from the first frame of the take, or from the --start
-that was given to export or to solve: frame n of
-.bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of
-the poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at
+joint's name is `_`. Frames and times count from the first frame of the take, or from --start of
+export or of solve. Without --start, frame n of .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of
+the video, if the cameras run at the rate of the poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at
 most ten minutes in all. .trc and .c3d are empty there, and where the performer is lost; .c3d has
-events there. The standard deviations of the joint centres, metres, are beside it in
-.trc.sd.csv or .c3d.sd.csv.
+events there. The standard deviations of the joint centres, metres, are in take1.trc.sd.csv beside
+take1.trc; the same for .c3d.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb

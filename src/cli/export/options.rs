@@ -1,8 +1,9 @@
 //! How poses are changed before they are written.
 
+use std::str::FromStr;
+
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
-use std::str::FromStr;
 
 use super::{Format, ON_FRAME};
 use crate::cli::failure::{Exit, Failure, ratio};

@@ -15,7 +15,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use npyz::WriterBuilder;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
@@ -42,15 +42,14 @@ pub fn write_npz(
     if !(fps.is_finite() && fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps });
     }
-    // (x, y, z) of AMASS's world is (z, x, y) of ours: it stays right-handed and keeps the ground.
-    let z_up = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+    // AMASS's world has z up.
     let (mut all, mut trans) = (Vec::new(), Vec::<f64>::new());
     for (frame, TimedPose { pose, .. }) in poses.iter().enumerate() {
         let first = all.len();
-        all.extend_from_slice(so3::log(&(z_up * pose.root_rotation)).as_slice());
+        all.extend_from_slice(so3::log(&(so3::Z_UP * pose.root_rotation)).as_slice());
         pose.local.iter().for_each(|turn| all.extend_from_slice(so3::log(turn).as_slice()));
         all.resize(first + NUMBERS, 0.0);
-        trans.extend_from_slice((z_up * pose.root_position).as_slice());
+        trans.extend_from_slice((so3::Z_UP * pose.root_position).as_slice());
         if all[first..].iter().chain(&trans[3 * frame..]).any(|value| !value.is_finite()) {
             return Err(ExportError::NotFinite { path: path.into(), frame });
         }

@@ -11,6 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 use crate::core::camera::{Camera, CameraError, Lens, Rig};
+use crate::core::so3;
 
 /// Why the cameras cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -101,15 +102,13 @@ fn camera(file: &File, name: &str, pose: &Extrinsics) -> Result<Camera, Fault> {
     let lens = file.intrinsics.get(name).ok_or_else(|| missing("intrinsics"))?;
     let size = *file.res.get(name).ok_or_else(|| missing("res"))?;
     let of_rows = |rows: &[[f64; 3]; 3]| Matrix3::from_fn(|i, j| rows[i][j]);
-    // Human3.6M's (x, y, z), z up, is our (y, z, x).
-    let theirs_from_ours = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
     let translation = Vector3::from(pose.translation.map(|[t]| 1e-3 * t));
     Camera::new(
         name,
         size,
         &of_rows(&lens.calibration_matrix),
         Lens::brown_conrady(&lens.distortion).map_err(Fault::Camera)?,
-        of_rows(&pose.rotation) * theirs_from_ours,
+        of_rows(&pose.rotation) * so3::Z_UP,
         translation,
     )
     .map_err(Fault::Camera)

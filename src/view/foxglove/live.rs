@@ -38,7 +38,7 @@ const PATTERNS: [&str; 9] = [
 ];
 /// Most messages in the queue. When it is full, new messages are dropped; so are those larger than [`MOST_BYTES`].
 const WAITING: usize = 4096;
-/// Without a pose or image for so long, time goes on by the clock.
+/// After so long without a pose or keypoints, time goes on by the clock of this computer.
 const SILENT: Duration = Duration::from_secs(1);
 /// How often the number of clients is read, and the pause before a bus that failed is opened again.
 const LOOK: Duration = Duration::from_millis(100);
@@ -152,9 +152,8 @@ fn pass_on(
     let (mut guards, mut shown) = (Vec::new(), Scene::live());
     // Calibration and bodies, by topic.
     let mut kept: BTreeMap<Arc<str>, (&str, Sample)> = BTreeMap::new();
-    // When the last pose or image came, and its capture time.
-    let mut last: Option<(Instant, Timestamp)> = None;
-    let mut again = Instant::now();
+    // The capture time that the programs have reached, and when they did.
+    let mut reached: Option<(Instant, Timestamp)> = None;
     let dropped = Arc::new(AtomicUsize::new(0));
     for pattern in PATTERNS {
         let (out, dropped) = (out.clone(), Arc::clone(&dropped));
@@ -171,13 +170,12 @@ fn pass_on(
             yield_now().await; // Clients are served even if there is always a sample.
             timeout(LOOK, samples.recv()).await
         });
-        // The clock of these programs stands still without messages, and so do performers who are gone.
-        if let Some((came, capture)) = last.filter(|(came, _)| came.elapsed() > SILENT)
-            && again.elapsed() > SILENT
-        {
-            again = Instant::now();
+        // Without messages the clock of these programs stands still, and performers who are gone stay.
+        if let Some((then, capture)) = reached.filter(|(then, _)| then.elapsed() > SILENT) {
+            let capture = capture + Nanos::from(then.elapsed());
+            reached = Some((Instant::now(), capture));
             shown.put_held(|_| true, channels);
-            shown.put_cameras(capture + Nanos::from(came.elapsed()), channels);
+            shown.put_cameras(capture, channels);
             kept.values().for_each(|(schema, sample)| pass(channels, schema, sample));
         }
         let Ok(Some(sample)) = next else { continue };
@@ -188,7 +186,7 @@ fn pass_on(
         };
         let cameras = shown.next;
         if shown.handle(topic, &message, channels) {
-            last = Some((Instant::now(), sample.capture));
+            reached = Some((Instant::now(), sample.capture));
         }
         pass(channels, schema, &sample);
         // Each time the cameras are, for clients that came later.

@@ -12,13 +12,13 @@
 //! | `/events` | `foxglove.Log` | the events |
 //!
 //! Times are capture times. The frame `world` is ours, with y up; its parent `root` has z up, as these
-//! programs show it. At a jump in a file, these programs read only the last message of each topic. So in a file,
-//! a message has all performers, and what comes once a second has topics of its own.
+//! programs show it. At a jump in a file, these programs read only the last message of each topic. So in a file
+//! each message has all performers, and the cameras, which come once a second, have topics of their own.
 
 mod live;
 mod shown;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use std::sync::Arc;
 
@@ -38,7 +38,7 @@ const AGAIN: Nanos = Nanos::SECOND;
 const LOOP: Nanos = Nanos::from_ms(10_000);
 /// In a file, poses wait so long for those of other performers, whose window may come later.
 const WINDOW: Nanos = Nanos::from_ms(20_000);
-/// Live, keypoints wait at most so long for the poses, and so many of them.
+/// Live, keypoints wait for the poses of their time: at most so long, and so many frames.
 const APART: Nanos = Nanos::from_ms(2000);
 const MOST_HELD: usize = 10_000;
 
@@ -57,16 +57,16 @@ struct Scene {
     /// When the cameras are published again.
     next: Option<Timestamp>,
     /// The time of the last pose.
-    newest: Option<Timestamp>,
+    last_pose: Option<Timestamp>,
     order: Order,
 }
 
-/// In which order messages come.
+/// In which order poses and keypoints come.
 enum Order {
-    /// As in a file, window by window of each performer. Poses wait for the others of their time.
+    /// As in a file: poses come window by window for each performer. They wait for the other performers.
     ByWindow(BTreeMap<Timestamp, Vec<(String, StampedPose)>>),
-    /// As on the bus: poses come later than the keypoints of their time, which wait for them.
-    Live(VecDeque<KeypointFrame>),
+    /// As on the bus: poses come later than the keypoints of their time. The keypoints wait for them.
+    Live(Vec<KeypointFrame>),
 }
 
 impl Default for Order {
@@ -85,7 +85,7 @@ struct Performer {
 
 impl Scene {
     fn live() -> Self {
-        Self { order: Order::Live(VecDeque::new()), ..Self::default() }
+        Self { order: Order::Live(Vec::new()), ..Self::default() }
     }
 
     /// Gives the sink what a message becomes. Returns whether it was a pose or keypoints.
@@ -119,7 +119,7 @@ impl Scene {
                     return false;
                 }
                 let at = pose.capture;
-                self.newest = Some(at);
+                self.last_pose = Some(at);
                 match &mut self.order {
                     Order::ByWindow(waiting) => {
                         let of_time = waiting.entry(at).or_default();
@@ -141,36 +141,21 @@ impl Scene {
                     return false;
                 }
                 let at = Timestamp::from_ns(frame.capture_time_ns);
-                let ahead = self.newest.map(|newest| at - newest);
-                match &mut self.order {
-                    Order::Live(held)
-                        if held.len() < MOST_HELD
-                            && ahead.is_some_and(|by| Nanos::ZERO < by && by < APART) =>
-                    {
-                        held.push_back(frame.clone());
-                    }
-                    // Without poses of their time nothing waits.
-                    _ => {
-                        if ahead.is_none_or(|by| by > Nanos::ZERO || by.abs() >= APART) {
-                            self.put_held(|_| true, sink);
-                        }
-                        put_keypoints(frame, sink);
-                    }
-                }
+                self.put_or_hold(frame, at, sink);
                 self.publish_cameras(at, sink);
                 return true;
             }
             Message::Event(event) => {
                 let at = Timestamp::from_ns(event.capture_time_ns);
                 let of = if topic.contains("/actor/") { &*name } else { "" };
-                sink.put("/events", at, || shown::said(of, event));
+                sink.put("/events", at, || shown::log_line(of, event));
             }
             _ => {}
         }
         false
     }
 
-    /// In a file, the poses that wait, up to a time; `None`: all.
+    /// Puts the waiting poses of a file up to a time; `None`: all.
     fn put_waiting(&mut self, up_to: Option<Timestamp>, sink: &mut impl Sink) {
         while let Order::ByWindow(waiting) = &mut self.order
             && let Some(first) = waiting.first_entry()
@@ -190,7 +175,23 @@ impl Scene {
         self.publish_cameras(at, sink);
     }
 
-    /// Live, the keypoints that wait and whose time is one of those.
+    /// Puts keypoints, or holds them until the poses of their time come.
+    fn put_or_hold(&mut self, frame: &KeypointFrame, at: Timestamp, sink: &mut impl Sink) {
+        let ahead = self.last_pose.map_or(APART, |pose| at - pose);
+        let is_ahead = Nanos::ZERO < ahead && ahead < APART;
+        match &mut self.order {
+            Order::Live(held) if is_ahead && held.len() < MOST_HELD => held.push(frame.clone()),
+            _ => {
+                // A late frame overtakes those that wait. Otherwise no poses come for these.
+                if is_ahead || ahead.abs() >= APART {
+                    self.put_held(|_| true, sink);
+                }
+                put_keypoints(frame, sink);
+            }
+        }
+    }
+
+    /// Puts the held keypoints whose time is due.
     fn put_held(&mut self, is_due: impl Fn(Timestamp) -> bool, sink: &mut impl Sink) {
         let Order::Live(held) = &mut self.order else { return };
         held.retain(|frame| {

@@ -71,7 +71,7 @@ fn placed(position: &Vector3<f64>) -> Option<messages::Pose> {
     Some(messages::Pose { position: vector(position), orientation })
 }
 
-fn corner(p: &Vector3<f64>) -> Point3 {
+fn point3(p: &Vector3<f64>) -> Point3 {
     Point3 { x: p.x, y: p.y, z: p.z }
 }
 
@@ -101,7 +101,7 @@ fn bones(
     StampedPose { capture, pose, state, .. }: &StampedPose,
 ) -> SceneEntity {
     let at = pose.posture(body).positions;
-    let point = |joint: Joint| corner(&at[joint.index()]);
+    let point = |joint: Joint| point3(&at[joint.index()]);
     let both = |joint: Joint| joint.parent().map(|parent| [point(parent), point(joint)]);
     let of_number = || {
         let own = colour(COLOURS[number % COLOURS.len()], 1.0)?;
@@ -128,7 +128,7 @@ fn bones(
     };
     let sphere =
         SpherePrimitive { pose: placed(&head), size: vector(&Vector3::repeat(HEAD)), color };
-    let name_shown = if label.display_name.is_empty() { name } else { &label.display_name };
+    let title = if label.display_name.is_empty() { name } else { &label.display_name };
     let above = head + Vector3::y() * 1.5 * HEAD;
     SceneEntity {
         timestamp: stamp(*capture),
@@ -137,7 +137,7 @@ fn bones(
         lifetime: Some(Duration::new(0, POSE_KEPT_NS)),
         spheres: vec![sphere],
         lines: vec![lines],
-        texts: vec![text(&above, 0.5 * HEAD, color, name_shown)],
+        texts: vec![text(&above, 0.5 * HEAD, color, title)],
         ..SceneEntity::default()
     }
 }
@@ -159,7 +159,7 @@ pub(super) fn cameras(rig: &Rig, at: Timestamp) -> SceneUpdate {
             pose: placed(&Vector3::zeros()),
             thickness: 2.0,
             scale_invariant: true,
-            points: edges.flatten().map(|p| corner(&p)).collect(),
+            points: edges.flatten().map(|p| point3(&p)).collect(),
             color,
             ..LinePrimitive::default()
         };
@@ -278,16 +278,16 @@ pub(super) fn keypoints(frame: &KeypointFrame) -> ImageAnnotations {
     ImageAnnotations { timestamp: stamp(at), points: points.collect(), ..Default::default() }
 }
 
-/// An event of a performer; of the stage: an empty name.
-pub(super) fn said(performer: &str, event: &Event) -> Log {
+/// An event as a line of a log. `performer`: whose it is; empty: of the stage.
+pub(super) fn log_line(performer: &str, event: &Event) -> Log {
     let camera = event.camera.as_deref().unwrap_or_default();
+    let kind = event.kind.replace('_', " ");
+    let parts = [camera, &kind, &event.detail].into_iter().filter(|part| !part.is_empty());
     let times = if event.count > 1 { format!(" ({} times)", event.count) } else { String::new() };
-    let parts = [camera, &event.kind.replace('_', " "), &event.detail].map(str::to_owned);
-    let said = parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(": ");
     Log {
         timestamp: stamp(Timestamp::from_ns(event.capture_time_ns)),
         level: log::Level::Info as i32,
-        message: said + &times,
+        message: parts.collect::<Vec<_>>().join(": ") + &times,
         name: performer.into(),
         ..Log::default()
     }

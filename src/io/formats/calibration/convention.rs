@@ -8,6 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use super::Calibrated;
+use crate::core::so3;
 
 /// An axis of the calibration's world, the one that points up. In our world it is y.
 ///
@@ -45,18 +46,17 @@ impl Up {
 
     /// The rotation from our coordinates to the calibration's.
     pub fn calibration_from_world(self) -> Matrix3<f64> {
-        let cyclic = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
         let half_turn = |fixed: usize| {
             let sign = |axis: usize| if axis == fixed { 1.0 } else { -1.0 };
             Matrix3::from_diagonal(&Vector3::new(sign(0), sign(1), sign(2)))
         };
         match self {
-            Self::X => cyclic.transpose(),
+            Self::X => so3::Z_UP.transpose(),
             Self::Y => Matrix3::identity(),
-            Self::Z => cyclic,
-            Self::MinusX => half_turn(1) * cyclic.transpose(),
+            Self::Z => so3::Z_UP,
+            Self::MinusX => half_turn(1) * so3::Z_UP.transpose(),
             Self::MinusY => half_turn(2),
-            Self::MinusZ => half_turn(0) * cyclic,
+            Self::MinusZ => half_turn(0) * so3::Z_UP,
         }
     }
 

@@ -294,7 +294,7 @@ fn own_name(file: &Path) -> String {
     if name.is_empty() { file.parent().map(stem).unwrap_or_default() } else { name }
 }
 
-/// A note if the principal point is far from the middle of the image, in a way that only a wrong size explains.
+/// A note if the principal point shows that the image size is wrong.
 fn odd_size(camera: &Calibrated) -> Option<String> {
     const NEAR: f64 = 0.04;
     let [width, height] = camera.size?.map(f64::from);
@@ -311,8 +311,8 @@ fn odd_size(camera: &Calibrated) -> Option<String> {
     let is_inside = (0.0..width).contains(&x) && (0.0..height).contains(&y);
     (!is_inside).then(|| {
         format!(
-            "camera {name}: the principal point ({x:.0}, {y:.0}) is outside of the image of {width} x {height}: is that size \
-             the one of the calibration?"
+            "camera {name}: the principal point ({x:.0}, {y:.0}) is outside of the image of {width} x {height}: is this the \
+             size of the images that were calibrated?"
         )
     })
 }

@@ -9,8 +9,8 @@ use crate::io::formats::ImportError;
 /// How a folder was assigned to a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MatchedBy {
-    /// By name, ignoring case, separators, a suffix `json` and leading zeros; one name may be a part of the other. Or by
-    /// the last numbers of the names.
+    /// By name, ignoring case, separators, a suffix `json` and leading zeros. One name may be a part of the other, or
+    /// only their last numbers are the same.
     Name,
     /// As the user says.
     Given,
@@ -63,8 +63,8 @@ fn plain_name(name: &str) -> String {
     plain
 }
 
-/// Pairs every folder or file with a camera: as `given` (folder and camera), by name if it has one, then the
-/// rest by order.
+/// Pairs every folder or file with a camera: as `given` (folder and camera), by names, by numbers in the names,
+/// then the rest by order. `folders`: each with whether it has a name.
 ///
 /// # Errors
 /// A given name is not there or is given twice; or folders are left over.
@@ -77,7 +77,7 @@ pub(super) fn match_folders(
     let (folders, has_name): (Vec<PathBuf>, Vec<bool>) = folders.into_iter().unzip();
     let by_given = given_cameras(root, &folders, rig, given)?;
     let mut camera_of = by_given.clone();
-    // A weaker likeness of names counts among those that a stronger one leaves.
+    // The strongest likeness first. A weaker one decides among the folders and cameras that are left.
     for is_alike in [has_its_name, has_it_as_a_part, is_a_part_of_it] {
         let is_free = |camera: &usize| !camera_of.contains(&Some(*camera));
         let free: Vec<usize> = (0..rig.cameras.len()).filter(is_free).collect();
@@ -153,7 +153,7 @@ fn given_cameras(
     Ok(cameras)
 }
 
-/// Gives the rest of the folders the cameras with the same last numbers, if all have one, each another.
+/// Gives each folder that is left the free camera with the same last number, if that works for all of them.
 fn by_numbers(folders: &[PathBuf], has_name: &[bool], rig: &Rig, camera_of: &mut [Option<usize>]) {
     let left: Vec<usize> = (0..folders.len()).filter(|&i| camera_of[i].is_none()).collect();
     let is_free = |camera: &usize| !camera_of.contains(&Some(*camera));
@@ -215,11 +215,11 @@ pub(super) fn frame_number(name: &str) -> Option<u64> {
     numbers(name).next_back()?.parse().ok()
 }
 
-/// More runs of digits of a name are not compared.
+/// Number of runs of digits of a name that are compared.
 const MOST_NUMBERS: usize = 8;
 
-/// The frame numbers of names that belong together: the last runs of digits that are not the same in all, so 12 and
-/// 13 in `12_cam1.jpg` and `13_cam1.jpg`. `None` as for [`frame_number`].
+/// The frame numbers of the names of one camera. Each is the last run of digits that is not the same in all names:
+/// 12 and 13 in `12_cam1.jpg` and `13_cam1.jpg`. `None` as for [`frame_number`].
 pub(super) fn frame_numbers<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Vec<Option<u64>> {
     let last = |name: &'a str, k: usize| numbers(name).nth_back(k);
     let differs = |k: &usize| {

@@ -127,7 +127,7 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
         let frames = |folder: &Path| -> Result<Vec<PathBuf>, ImportError> {
             Ok(entries(folder)?.into_iter().filter(|file| is_frame(file)).collect())
         };
-        // YOLO's are in a folder of their own, others perhaps.
+        // YOLO's files are in `labels`. Others may be in `json`.
         let (labels, json) = (path.join("labels"), path.join("json"));
         let mut files = frames(if labels.is_dir() { &labels } else { &path })?;
         if files.is_empty() && json.is_dir() {
@@ -142,7 +142,7 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
                 if json::parse(&fs::read(first).unwrap_or_default())
                     .is_ok_and(|file| json::is_take(&file))
                 {
-                    let what = "its folder holds several takes; leave one of them in it; if \
+                    let what = "its folder holds several takes; leave one of them in it. If \
                                 each is of another camera, import this folder"
                         .into();
                     return Err(ImportError::NotDetections { path: first.clone(), what });

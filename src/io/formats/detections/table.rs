@@ -35,7 +35,7 @@ pub(super) fn csv(bytes: &[u8]) -> Result<Table, String> {
         && let Some(separator) = [';', '\t'].into_iter().find(|one| first.as_slice().contains(*one))
     {
         return Err(format!(
-            "{separator:?} separates its columns; write it with commas, and numbers with points"
+            "{separator:?} is between its columns; use commas there, and points in numbers"
         ));
     }
     of_lines(&lines)
@@ -121,10 +121,7 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
     let numbers = numbered.map(|texts| numbers(&texts));
     for (k, (i, line)) in rows.enumerate() {
         let number = numbers.as_ref().map_or(Some(i as u64 - 1), |numbers| numbers[k]);
-        let number =
-            number.ok_or_else(|| "its frame number is no whole number from 0 on".to_owned());
-        number
-            .and_then(|number| row(&mut table, line, number, &fields, &columns))
+        row(&mut table, line, number, &fields, &columns)
             .map_err(|what| format!("line {}: {what}", i + 1))?;
     }
     if let Some(names) = &table.names
@@ -193,7 +190,7 @@ fn point_column(cell: &str) -> Option<(String, usize)> {
     Some((number.parse::<usize>().ok()?.to_string(), axis(first)?))
 }
 
-/// The frame numbers of the rows, from the cells of a column. They may be names of images.
+/// The frame number of each row, from the cells of a column: numbers, or names of images.
 fn numbers(texts: &[&str]) -> Vec<Option<u64>> {
     let number = |text: &&str| text.parse::<f64>().ok();
     if !texts.iter().any(|text| number(text).is_some()) {
@@ -206,10 +203,11 @@ fn numbers(texts: &[&str]) -> Vec<Option<u64>> {
 fn row(
     table: &mut Table,
     line: &csv::StringRecord,
-    number: u64,
+    number: Option<u64>,
     fields: &BTreeMap<&str, usize>,
     columns: &[(usize, Column)],
 ) -> Result<(), String> {
+    let number = number.ok_or("its frame number is no whole number from 0 on")?;
     let cell = |name: &str| fields.get(name).and_then(|at| line.get(*at)).map(str::trim);
     let camera = cell("camera").unwrap_or_default();
     let (frames, report) = table.cameras.entry(camera.to_owned()).or_default();
