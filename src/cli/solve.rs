@@ -38,7 +38,8 @@ const BODY_OF: &str = "body of ";
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Writes to the folder DIR:
-  poses.mcap         skeleton, rig, poses, keyframes, events, and the state of the cameras
+  poses.mcap         skeleton, rig, poses, keyframes, events, and the state of the cameras. Foxglove
+                     and Lichtblick show it in 3D
   poses.bvh          poses in centimetres, y up, from the recording's first frame (or --start) on;
                      frames before the performer is found repeat the first pose, gaps repeat the
                      previous pose
@@ -137,11 +138,11 @@ pub(super) struct Arguments {
     /// The optimiser of the windows; lbfgs is for the paper's setting, --config config/paper.toml.
     #[arg(long, value_enum)]
     optimiser: Option<OptimiserName>,
-    /// Add messages for the 3D view of Foxglove and Lichtblick to poses.mcap. The file is then about
-    /// twice as large.
+    /// Write poses.mcap without the messages with which Foxglove and Lichtblick show it in 3D. The file
+    /// is then smaller.
     #[cfg(feature = "view")]
     #[arg(long)]
-    foxglove: bool,
+    no_foxglove: bool,
     /// Print one JSON object instead of the table.
     #[arg(long)]
     pub(super) json: bool,
@@ -150,7 +151,7 @@ pub(super) struct Arguments {
 impl Arguments {
     #[cfg(feature = "view")]
     fn companion(&self) -> Option<NewCompanion> {
-        self.foxglove.then_some(|| Box::new(crate::view::Beside::default()))
+        (!self.no_foxglove).then_some(|| Box::new(crate::view::Beside::default()))
     }
 
     #[cfg(not(feature = "view"))]
@@ -305,8 +306,8 @@ impl Prepared {
             "span": format!("{:?}", arguments.span),
             "convention": format!("{:?}", arguments.convention),
         });
-        if arguments.companion().is_some() {
-            settings["foxglove"] = true.into();
+        if arguments.companion().is_none() {
+            settings["no_foxglove"] = true.into();
         }
         settings
     }

@@ -92,7 +92,7 @@ async function until(page, isWanted, what) {
 test("Lichtblick shows all performers of a file, standing, after a jump back too", { skip }, async () => {
   const take = join(folder, "three.mcap");
   run("synth", "--performers", "3", "--seconds", "4", "--out", take);
-  run("solve", take, "--performers", "auto", "--foxglove", "--out", join(folder, "three"));
+  run("solve", take, "--performers", "auto", "--out", join(folder, "three"));
   const { page } = await opened("remote-file", `${await served(join(folder, "three"))}/poses.mcap`);
   const areStanding = ({ p1, p2, p3 }) => Math.min(p1, p2, p3) > 1.3;
   await until(page, areStanding, "at the beginning");

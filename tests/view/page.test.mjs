@@ -563,7 +563,7 @@ test("Foxglove and Lichtblick get the performers and the cameras of a live stage
 });
 
 test("Foxglove and Lichtblick open what a solve writes, with the poses that it has", async () => {
-  run("solve", join(root, "recordings/walk.mcap"), "--out", join(folder, "both"), "--foxglove");
+  run("solve", join(root, "recordings/walk.mcap"), "--out", join(folder, "both"));
   const file = readFileSync(join(folder, "both/poses.mcap"));
   const readable = { size: async () => BigInt(file.length), read: async (at, length) => file.subarray(Number(at), Number(at + length)) };
   const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers: { zstd: (bytes) => zstd(bytes) } });
@@ -584,6 +584,17 @@ test("Foxglove and Lichtblick open what a solve writes, with the poses that it h
     ["x", "y", "z"].forEach((axis, k) => assert.ok(Math.abs(transform[axis] - joints[k]) < 1e-5, `${axis} of pose ${at}`));
   }
   run("info", join(folder, "both/poses.mcap"), "--check");
+  // The layout for Lichtblick names topics and fields that are there. Images are not, and keypoints are in other files.
+  const layout = readFileSync(join(root, "config/lichtblick.json"), "utf8");
+  const named = [...layout.matchAll(/"((?:\/|mocap\/)[^"]*)"/g)].map(([, path]) => path.replace(/\/p[123]\//, "/actor/"));
+  assert.ok(named.length > 20);
+  for (const path of named.filter((path) => !/\/(image|keypoints)$/.test(path))) {
+    const [, topic, field, index] = /^([^.]*)\.?(\w*)(?:\[(\d+)\])?$/.exec(path);
+    assert.ok(found[topic], `config/lichtblick.json: ${path}`);
+    if (!field) continue;
+    const value = read(found[topic][0])[field];
+    assert.ok((index === undefined ? value : value[index]) !== undefined, `config/lichtblick.json: ${path}`);
+  }
 });
 
 /** A site of another program on this computer. */

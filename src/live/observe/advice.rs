@@ -5,12 +5,24 @@ pub(crate) fn goes_on(kind: &str) -> bool {
     kind == "unusable" || advice(kind).is_some()
 }
 
-/// Whether events of that kind belong to a good run. Of the kind `clock` only those without a difference do.
+/// Whether events of that kind belong to a good run. Of the kinds `clock` and `solver` not all do: see [`is_fine`].
 pub(crate) fn is_expected(kind: &str) -> bool {
     let of_performers = ["acquired", "left", "entered", "reentered", "vacated"];
     let of_cameras = ["returned", "calibrated", "rig_changed", "clock"];
     let of_node = ["latency", "idle", "take", "solver"];
     [&of_performers[..], &of_cameras, &of_node].concat().contains(&kind)
+}
+
+/// How details begin that say that a camera that was moved or out of time is used again.
+const USED_AGAIN: [&str; 4] = ["fits again", "mended", "in time again", "its frames agree"];
+
+/// Whether an event belongs to a good run.
+pub(crate) fn is_fine(kind: &str, detail: &str) -> bool {
+    match kind {
+        "clock" => detail.contains("the cameras use"),
+        "solver" => !detail.contains("no solver is there"),
+        kind => is_expected(kind) || USED_AGAIN.iter().any(|words| detail.starts_with(words)),
+    }
 }
 
 /// What to do about what goes on; `None` for a kind that happens once.

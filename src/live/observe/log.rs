@@ -8,7 +8,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use tracing_subscriber::filter::{EnvFilter, ParseError};
 use tracing_subscriber::fmt::MakeWriter;
 
-use super::advice::{advice, goes_on, is_expected};
+use super::advice::{advice, goes_on, is_fine};
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::Event;
 use crate::live::error::NodeError;
@@ -158,7 +158,8 @@ impl EventLog {
             let more = camera.or(actor).filter(|_| going.names.len() <= MOST_NAMES);
             going.names.extend(more.map(one_line));
         } else if self.limiter.admits(now, &event.kind, camera.or(actor), event.count) {
-            line(&event.kind, actor, camera, event.window, &text(event));
+            let is_fine = is_fine(&event.kind, &event.detail);
+            line(is_fine, actor, camera, event.window, &text(event));
         }
         self.end_seconds(now);
     }
@@ -168,7 +169,7 @@ impl EventLog {
         for (kind, camera, count) in self.limiter.withheld(now) {
             let of = camera.map_or(String::new(), |name| format!(" of {name}"));
             let text = format!("and {count} more {}{of} in the last second", spoken(&kind));
-            line(&kind, None, None, None, &text);
+            line(is_fine(&kind, ""), None, None, None, &text);
         }
         if let Some(text) = self.going(now) {
             tracing::warn!("{text}");
@@ -231,13 +232,8 @@ fn spoken(kind: &str) -> String {
     kind.replace('_', " ")
 }
 
-/// Expected kinds are logged as information, all others as warnings.
-fn line(kind: &str, actor: Option<&str>, camera: Option<&str>, window: Option<u64>, text: &str) {
-    let is_fine = match kind {
-        "clock" => text.contains("the cameras use"),
-        "solver" => !text.contains("no solver is there"),
-        kind => is_expected(kind),
-    };
+/// What belongs to a good run is logged as information, all else as a warning.
+fn line(is_fine: bool, actor: Option<&str>, camera: Option<&str>, window: Option<u64>, text: &str) {
     if is_fine {
         tracing::info!(actor, camera, window, "{text}");
     } else {

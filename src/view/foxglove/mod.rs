@@ -427,6 +427,7 @@ mod tests {
             let log = foxglove::messages::Log::decode(&**bytes).unwrap();
             let expected = (name, "left: out of order: by 20 ms (3 times)");
             assert_eq!((&*log.name, &*log.message), expected);
+            assert_eq!(log.level(), foxglove::messages::log::Level::Warning);
         }
     }
 

