@@ -128,7 +128,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let disturbance = arguments.network.disturbance()?;
     let config = arguments.bus.settings()?;
     let span = arguments.span.within(&Times::of(&arguments.file, Some(&config))?)?;
+    let reading = ticker();
+    reading.set_message(format!("reading {}", arguments.file.display()));
     let (take, report) = Take::read(&arguments.file, &arguments.camera, span)?;
+    reading.finish_and_clear();
     for lost in report.losses() {
         complain("warning", &format!("{}: {lost}", arguments.file.display()));
     }

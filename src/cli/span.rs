@@ -21,10 +21,10 @@ const SEARCHED: Nanos = Nanos::from_ms(5000);
 pub(super) struct SpanArguments {
     /// Begin here: seconds since the recording's first frame, frames such as 240f (`export` alone), or a
     /// timecode such as 01:00:00:00, with [timecode] in the settings or in those of the recording.
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     start: Option<String>,
     /// End here, inclusive; as --start.
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     end: Option<String>,
 }
 

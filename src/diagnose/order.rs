@@ -61,9 +61,13 @@ pub(super) fn away(
         return None;
     }
     let mut away: Vec<f64> = others.iter().map(|[start, _]| own[0].seconds_since(*start)).collect();
-    let what =
-        format!("its capture times are {:+.3} s from those of the others", median(&mut away)?);
-    Some(Finding::new("clock", what, "set its clock, or shift its capture times"))
+    let away = median(&mut away)?;
+    let what = format!("its capture times are {away:+.3} s from those of the others");
+    let offset = (cameras[camera].time_offset.seconds() - away) * 1e3;
+    let fix = format!(
+        "set its clock, or write time_offset_ms = {offset:.0} in its calibration (a guess)"
+    );
+    Some(Finding::new("clock", what, fix))
 }
 
 fn absent(footage: &Footage, cameras: &[Camera], camera: usize) -> Option<Finding> {

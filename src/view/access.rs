@@ -1,6 +1,11 @@
 //! Who may look at the page.
 
+use std::env::var_os;
+use std::fs;
+use std::io::{self, Write};
 use std::net::SocketAddr;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 
 use axum::extract::{Query, Request, State};
 use axum::http::header::{COOKIE, HOST, ORIGIN, SET_COOKIE};
@@ -8,6 +13,7 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
+use tempfile::NamedTempFile;
 
 /// What a request must show.
 #[derive(Clone, Debug)]
@@ -28,9 +34,16 @@ const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
 impl Access {
-    pub(super) fn of(address: SocketAddr) -> Self {
-        let token =
-            (!address.ip().is_loopback()).then(|| format!("{:032x}", rand::random::<u128>()));
+    /// `is_lasting`: the token is the same when the program is started again, so that open pages find it.
+    pub(super) fn of(address: SocketAddr, is_lasting: bool) -> Self {
+        let token = (!address.ip().is_loopback()).then(|| {
+            let new = format!("{:032x}", rand::random::<u128>());
+            let Some(path) = token_file().filter(|_| is_lasting) else { return new };
+            kept(&path, &new).unwrap_or_else(|error| {
+                tracing::warn!("the page has a new token: {}: {error}", path.display());
+                new
+            })
+        });
         Self { address, token }
     }
 
@@ -61,6 +74,34 @@ impl Access {
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
         let mut cookies = cookies.flat_map(|all| all.split(';')).map(str::trim);
         cookies.any(|one| one.strip_prefix(&name).is_some_and(|one| is_equal(one, token)))
+    }
+}
+
+/// The file of this user with the token of live pages.
+fn token_file() -> Option<PathBuf> {
+    let folder = |variable| var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute());
+    let home = || Some(folder("HOME")?.join(".local/state"));
+    Some(folder("XDG_STATE_HOME").or_else(home)?.join("bundlemocap/view-token"))
+}
+
+/// The token in a file that only this user can read. If there is no file, it gets the new one.
+fn kept(path: &Path, new: &str) -> io::Result<String> {
+    if !path.try_exists()? {
+        let folder = path.parent().unwrap_or(path);
+        fs::create_dir_all(folder)?;
+        let mut file = NamedTempFile::new_in(folder)?;
+        file.write_all(new.as_bytes())?;
+        // If another node was faster, its token counts.
+        let _ = file.persist_noclobber(path);
+    }
+    if fs::metadata(path)?.permissions().mode() & 0o077 != 0 {
+        return Err(io::Error::other("others can read it; delete it"));
+    }
+    let text = fs::read_to_string(path)?;
+    let token = text.trim();
+    match token.len() == new.len() && token.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        true => Ok(token.to_owned()),
+        false => Err(io::Error::other("it holds no token; delete it")),
     }
 }
 
@@ -96,4 +137,26 @@ pub(super) async fn check(
         answer.insert(SET_COOKIE, cookie);
     }
     response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_live_page_keeps_its_token() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("state/view-token");
+        let [first, second] = ["0123456789abcdef", "fedcba9876543210"];
+        assert_eq!(kept(&path, first).unwrap(), first);
+        assert_eq!(kept(&path, second).unwrap(), first);
+        fs::write(&path, format!("{second}\n")).unwrap();
+        assert_eq!(kept(&path, first).unwrap(), second);
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).unwrap();
+        assert!(kept(&path, first).is_err());
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+        fs::write(&path, "cut").unwrap();
+        assert!(kept(&path, first).is_err());
+        assert!(kept(&path.join("below a file"), first).is_err());
+    }
 }

@@ -124,7 +124,7 @@ pub fn start(address: &str, source: Source) -> Result<Running, ViewError> {
     let listener = TcpListener::bind(&*resolved).map_err(refused)?;
     listener.set_nonblocking(true).map_err(refused)?;
     let address = listener.local_addr().map_err(refused)?;
-    let access = Access::of(address);
+    let access = Access::of(address, matches!(source, Source::Live(_)));
     let (token, (stop, stopped)) = (access.token.clone(), oneshot::channel());
     let router = router(access, source);
     let serve = move || {

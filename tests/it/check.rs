@@ -596,6 +596,9 @@ fn what_is_wrong_for_a_part_of_the_time_or_with_few_frames_is_said() {
     let found = take.check_in_order();
     let all = [0, 1, 2, 3].map(|camera| causes(&found, camera));
     assert_eq!(all.iter().filter(|causes| **causes == ["clock"]).count(), 2, "{found}");
+    let fixes = found.cameras.iter().flat_map(|row| &row.findings).map(|finding| &finding.fix);
+    let hour = |fix: &String| fix.contains("time_offset_ms = -36000") || fix.contains("= 36000");
+    assert_eq!(fixes.filter(|fix| hour(fix)).count(), 2, "{found}");
 
     // Each frame twice; then one frame far ahead, and a first one far behind.
     let mut take = clean.clone();

@@ -1130,6 +1130,7 @@ fn poses_are_exported_at_another_rate_in_place_and_in_part() {
             "no poses from --start to --end; the take has poses from 0.00 to 2.48",
         ),
         ("--out b.csv --start 1.5f", "frames such as 120f"),
+        ("--out b.csv --start -1", "--start -1: give seconds since the first frame"),
     ] {
         place.fails(USAGE, &format!("export solved/poses.mcap {options}"), &[reason]);
     }

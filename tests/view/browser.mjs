@@ -39,7 +39,7 @@ after(async () => {
 
 /** Starts the program, and waits for a line that matches. Returns the match and the process. */
 export function start(args, pattern) {
-  const child = spawn(program, args, { env: { ...process.env, NO_COLOR: "1" } });
+  const child = spawn(program, args, { env: { ...process.env, NO_COLOR: "1", XDG_STATE_HOME: folder } });
   children.push(child);
   return new Promise((resolve, reject) => {
     let text = "";
@@ -102,7 +102,8 @@ export const until = (page, condition, argument, timeout = 30_000) =>
     const text = await page.evaluate(() => document.body.innerText);
     throw new Error(`${error.message} for ${condition}; the page shows:\n${text}`);
   });
-export const people = (page, count) => until(page, (wanted) => Number(document.body.dataset.people) === wanted, count);
+export const people = (page, count, timeout) =>
+  until(page, (wanted) => Number(document.body.dataset.people) === wanted, count, timeout);
 
 export async function picture(page, name) {
   if (process.env.PICTURES) await page.screenshot({ path: join(process.env.PICTURES, `${name}.png`) });

@@ -70,6 +70,8 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await picture(page, "through");
   await page.keyboard.press("0");
   await until(page, () => document.body.dataset.through === "");
+  await page.locator('#panes [data-camera="cam02"]').click();
+  await until(page, () => document.body.dataset.through === "cam02");
   await page.keyboard.press("1");
   await page.locator('#panes [data-camera="cam01"][aria-pressed="true"]').waitFor();
   await page.keyboard.press("f");
@@ -82,6 +84,11 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await until(page, (before) => document.body.dataset.view !== before, free);
   await page.keyboard.press("f");
   await until(page, (before) => document.body.dataset.view === before, free);
+  // A double click on a performer, whose name is above the head.
+  const tag = await page.locator("#labels span", { hasText: "actor" }).boundingBox();
+  await page.mouse.dblclick(tag.x + tag.width / 2, tag.y + tag.height / 2 + 12);
+  await until(page, () => document.querySelector('[data-follow="actor"]').getAttribute("aria-pressed") === "true");
+  await page.locator('[data-follow="actor"]').click();
   // L loops from one place to another.
   const loopText = () => page.locator("#loop").textContent();
   const goTo = async (share) => {
@@ -169,9 +176,13 @@ test("a recording of a stage shows each camera's state, and README's picture is 
   await people(page, 1);
   await until(page, () => document.querySelectorAll("#cameras > *").length === 4);
   await until(page, () => /warn|bad/.test(document.getElementById("cameras").textContent));
+  // The states of the seconds before are read by then.
+  await until(page, () => /in 5 s/.test(document.getElementById("cameras").textContent));
+  await until(page, () => document.querySelector("#panes .light.warn") && document.body.dataset.skins === "1");
   await picture(page, "view");
   await isSound(page);
   // A tick is pressed: its words are in the list.
+  assert.match(await page.locator("#ticks i").nth(20).getAttribute("title"), /^\d+\.\d\d s [a-z ]+: ./);
   const tick = await page.locator("#ticks i").nth(20).boundingBox();
   await page.mouse.click(tick.x + 1, tick.y + 3);
   await until(page, () => {
@@ -245,6 +256,22 @@ test("a light says what is wrong with a camera, and no longer than that", async 
     store.came.set("cam01", performance.now() - 900).set("cam02", performance.now());
     found.silent = light();
     found.notAsked = light(false);
+    store.came.clear();
+    const others = ["cam02", "cam03"].map((camera) => ({ ...counters, camera }));
+    statuses[0].status.cameras.push(...others);
+    counters.rate_hz = 30;
+    found.slow = light();
+    counters.rate_hz = 60;
+    counters.residual_px = 10;
+    found.worse = light();
+    counters.residual_px = 20;
+    found.bad = light();
+    counters.residual_px = 5;
+    Object.assign(store.rig.cameras[0], { width: 1280, height: 720 });
+    store.keypoints.set("cam01", { items: [{ size: [640, 480] }] });
+    found.size = light();
+    store.rig.cameras[0].name = "cam02";
+    found.stranger = light();
     return found;
   });
   for (const name of ["fine", "again", "ofEarlierRun", "notAsked"]) assert.equal(found[name][0], "ok", `${name}: ${found[name]}`);
@@ -252,7 +279,68 @@ test("a light says what is wrong with a camera, and no longer than that", async 
   assert.deepEqual(found.judged, ["bad", "turned by 3 degrees"]);
   assert.match(found.off.join(" "), /^warn \+6\.0 ms off .*, since \d\d:\d\d$/);
   assert.match(found.silent.join(" "), /^bad no frame for 0\.9 s$/);
+  assert.deepEqual(found.slow, ["warn", "30.0 of 60 frames a second"]);
+  assert.deepEqual(found.worse, ["warn", "residual 10.0 px, usually 5.0"]);
+  assert.deepEqual(found.bad, ["bad", "residual 20.0 px, usually 5.0"]);
+  assert.deepEqual(found.size, ["bad", "its images are 640 x 480, the calibration's 1280 x 720"]);
+  assert.deepEqual(found.stranger.slice(0, 2), ["bad", "not in the calibration"]);
   assert.deepEqual(said, []);
+});
+
+test("each figure at the top is judged", async () => {
+  const { match } = await start(["view", join(folder, "walk/poses.mcap"), "--listen", "127.0.0.1:0"], /open (\S+)/);
+  const { page } = await open(match[1]);
+  const found = await page.evaluate(async () => {
+    const { Figures } = await import("./figures.js");
+    const list = document.createElement("dl");
+    const figures = new Figures(list);
+    const playout = {
+      published: 100n, missed: 0n, coasted: 0n, deviation_bins_us: [100, 2000, 50_000], deviation_counts: [99, 1, 0, 0],
+      provisional_bins_us: [10_000, 100_000], provisional_counts: [100, 0, 0],
+    };
+    const windows = { age_p50_ms: 150, age_p99_ms: 180, solve_p50_ms: 2, solve_p99_ms: 5 };
+    const status = (more) => ({ run_id: 7n, cameras: [], events: [], declared_latency_ns: 200_000_000n, playout, windows, ...more });
+    const poses = { items: Array.from({ length: 121 }, () => ({ late: 1 })), times: Array.from({ length: 121 }, (_, k) => k / 60) };
+    poses.after = (time) => poses.times.filter((at) => at <= time).length;
+    const shownOf = (last, people, times, expected = 2) => {
+      const none = { ...playout, deviation_counts: [0, 0, 0, 0], provisional_counts: [0, 0, 0] };
+      const history = [{ at: 0, seconds: 0, status: status({ playout: none }) }, { at: 1, seconds: 1, status: last }];
+      const performers = new Map(["p1", "p2"].map((name) => [name, { poses }]));
+      for (const one of poses.items) one.late = last.late ?? 1;
+      const store = { performers, historyAt: () => history, nanoseconds: () => 0n, unreadable: 0, dropped: 0 };
+      figures.show(store, { time: 1, shown: 1.5, isLive: true, people, present: 2, expected, toScreen: times });
+      return Object.fromEntries(Array.from(list.children, ({ firstChild, lastChild }) => [
+        firstChild.textContent, `${lastChild.className.replace("light ", "")} ${lastChild.textContent}`,
+      ]));
+    };
+    const [p1, p2] = ["p1", "p2"].map((name) => ({ name, state: "tracking" }));
+    const late = { ...playout, missed: 3n, deviation_counts: [99, 1, 0, 40], provisional_counts: [100, 0, 200] };
+    const slow = { age_p50_ms: 150, age_p99_ms: 190, solve_p50_ms: 40, solve_p99_ms: 90 };
+    return {
+      fine: shownOf(status({}), [p1, p2], [20]),
+      bad: shownOf(status({ playout: late, windows: slow }), [p1, { ...p2, state: "lost" }], [20, 400]),
+      late: shownOf(status({ playout: { ...playout, coasted: 2n }, windows: { ...slow, age_p50_ms: 210, age_p99_ms: 300 }, late: 70 }), [], []),
+      new: shownOf(status({ playout: undefined, windows: undefined }), [p1], [], 1),
+      nobody: shownOf(status({}), [], [], 0),
+    };
+  });
+  assert.deepEqual(found.fine, {
+    tracking: "ok 2 of 2", latency: "ok 200 ms", poses: "ok 60.0 Hz", publishing: "ok ≤0.1 / ≤0.1 / ≤2 ms",
+    provisional: "ok ≤10 / ≤10 / ≤10 ms", window: "ok 150 / 180 ms", solve: "ok 2.0 / 5.0 ms", network: "ok 1.0 / 1.0 ms",
+    "to the screen": "ok 20.0 / 20.0 ms",
+  });
+  assert.deepEqual(found.bad, {
+    tracking: "warn 1 of 2", latency: "warn 200 ms", poses: "bad 60.0 Hz", publishing: "warn ≤0.1 / >50 / >50 ms",
+    provisional: "bad >100 / >100 / >100 ms", window: "ok 150 / 190 ms", solve: "warn 40.0 / 90.0 ms", network: "ok 1.0 / 1.0 ms",
+    "to the screen": "bad 400.0 / 400.0 ms",
+  });
+  // Of late windows, the solve is not the cause. The clock of another computer may be wrong.
+  assert.deepEqual(found.late, {
+    tracking: "bad 0 of 2", latency: "bad 200 ms", poses: "warn 60.0 Hz", publishing: "ok ≤0.1 / ≤0.1 / ≤2 ms",
+    provisional: "ok ≤10 / ≤10 / ≤10 ms", window: "bad 210 / 300 ms", solve: " 40.0 / 90.0 ms", network: "warn 70.0 / 70.0 ms",
+  });
+  assert.deepEqual(found.new, { tracking: "ok 1 of 2", latency: " 200 ms", poses: " 60.0 Hz", network: "ok 1.0 / 1.0 ms" });
+  assert.equal(found.nobody.tracking, " 0 of 2");
 });
 
 test("a lens has a ray for each pixel", () => {
@@ -317,9 +405,21 @@ test("four performers, and two solves of a take, are shown together", async () =
   const names = await page.locator("#performers .who").allTextContents();
   assert.deepEqual(names.sort(), ["p1", "p1 (3)", "p2", "p2 (3)", "p3", "p3 (3)", "p4", "p4 (3)"]);
   // The bodies lie over the keypoints that they are from.
-  const errors = await page.locator("#panes .caption span:last-child").allTextContents();
-  assert.equal(errors.length, 4);
+  const caption = "#panes .caption span:last-child";
+  await until(page, (all) => Array.from(document.querySelectorAll(all)).filter((one) => /px$/.test(one.textContent)).length === 4, caption);
+  const errors = await page.locator(caption).allTextContents();
   for (const text of errors) assert.ok(parseFloat(text) < 20, `a median of ${text}`);
+  // A pane is drawn anew when something in it changes.
+  const before = await page.locator("#panes canvas").first().evaluate((canvas) => canvas.toDataURL());
+  const isDrawn = (wanted) => until(page, ([was, isSame]) => {
+    return (document.querySelector("#panes canvas").toDataURL() === was) === isSame;
+  }, [before, wanted]);
+  await page.locator('[data-hide="p1 (3)"]').click();
+  await people(page, 7);
+  await isDrawn(false);
+  await page.locator('[data-hide="p1 (3)"]').click();
+  await people(page, 8);
+  await isDrawn(true);
   await page.locator('[data-hide="p1 (3)"]').click();
   await people(page, 7);
   await page.locator('[data-follow="p2"]').click();
@@ -608,6 +708,7 @@ test("other sites and those without the token are refused", async () => {
   const poses = join(folder, "walk/poses.mcap");
   const own = await start(["view", poses, "--listen", "127.0.0.1:0"], /open (\S+)/);
   assert.equal(await status(own.match[1]), 200);
+  assert.match((await fetch(own.match[1])).headers.get("content-security-policy"), /default-src 'none'/);
   assert.equal(await status(own.match[1], { host: "example.org" }), 403);
   for (const path of ["about.json", "messages?from=0&to=1&kinds=pose", "bus"]) {
     assert.equal(await status(own.match[1] + path, { origin: "http://example.org" }), 403);
@@ -637,4 +738,15 @@ test("other sites and those without the token are refused", async () => {
   const { page, said } = await open(`${url}#t=1`);
   await people(page, 1);
   assert.deepEqual(said, []);
+  // An open page finds a node again that is started anew, beyond this computer too.
+  const beyond = ["run", "--listen", `tcp/127.0.0.1:${await freePort()}`, "--view", `0.0.0.0:${await freePort()}`];
+  const first = await start(beyond, /the page is on (\S+)/);
+  const here = Object.assign(new URL(first.match[1]), { hostname: "127.0.0.1" });
+  const other = await open(here.href);
+  const isConnected = () => !/^$|no connection/.test(document.getElementById("node").textContent);
+  await until(other.page, isConnected);
+  await stop(first.child);
+  await until(other.page, () => document.getElementById("node").textContent.includes("no connection"));
+  await start(beyond, /the page is on (\S+)/);
+  await until(other.page, isConnected);
 });

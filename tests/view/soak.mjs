@@ -1,6 +1,7 @@
 // The live page over ten minutes: npm run soak. Environment: PERFORMERS (1), CAMERAS (4), SECONDS (600), PAGES (1),
-// SOCKETS (0; connections that draw nothing, as pages on other computers), and those of browser.mjs. It prints figures; in ten
-// minutes or more it fails if the memory of the page grows.
+// SOCKETS (0; connections that draw nothing, as pages on other computers), TAKE (a recording of them; else one is made, for
+// many performers in minutes), and those of browser.mjs. It prints figures; in ten minutes or more it fails if the memory of
+// the page grows.
 
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";
@@ -34,8 +35,8 @@ async function receive(url, count) {
 
 test("ten minutes leave the memory flat", async () => {
   const [bus, http, metrics] = [await freePort(), await freePort(), await freePort()];
-  const [take, config] = [join(folder, "take.mcap"), join(folder, "soak.toml")];
-  run("synth", "--performers", performers, "--cameras", cameras, "--seconds", seconds + 60, "--out", take);
+  const [take, config] = [process.env.TAKE ?? join(folder, "take.mcap"), join(folder, "soak.toml")];
+  if (!process.env.TAKE) run("synth", "--performers", performers, "--cameras", cameras, "--seconds", seconds + 60, "--out", take);
   const stage = performers > 1 ? '[stage]\nperformers = "auto"\n' : "";
   writeFileSync(config, `${stage}[node]\nprometheus = "127.0.0.1:${metrics}"\n`);
   const listen = ["--listen", `tcp/127.0.0.1:${bus}`, "--view", `127.0.0.1:${http}`];
@@ -45,7 +46,8 @@ test("ten minutes leave the memory flat", async () => {
   for (let k = 0; k < pages; k++) opened.push(await open(node.match[1]));
   const received = sockets > 0 && (await receive(node.match[1], sockets));
   const page = opened[0]?.page;
-  if (page) await people(page, performers);
+  // A long take of many is read for minutes.
+  if (page) await people(page, performers, 300_000);
   const devtools = await page?.context().newCDPSession(page);
   const heap = async () => {
     await devtools.send("HeapProfiler.collectGarbage");

@@ -180,9 +180,12 @@ function tick() {
 function showNode(people) {
   const { level, words } = isLive ? nodeLight(store, source.connected) : recordingLight();
   $("node").className = `light ${level}`;
+  // Nobody expects a pose of who has left, or is to come.
+  const isNow = isLive && chosen.playing;
+  const expected = isNow ? present().filter(({ name }) => store.lifeOf(name) !== "left").length : people.length;
   setText($("node"), `${isLive ? "node" : "file"} ${level}${words.length > 0 ? `: ${words.join("; ")}` : ""}`);
   figures.show(store, {
-    time: isLive ? Infinity : chosen.time, shown: chosen.time, isLive, people, present: present().length, toScreen,
+    time: isLive ? Infinity : chosen.time, shown: chosen.time, isLive, people, present: present().length, expected, toScreen,
   });
   $("node").title = words.join("\n");
   Object.assign(document.body.dataset, view.figures);

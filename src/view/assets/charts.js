@@ -32,6 +32,8 @@ const LATENCIES = [
   ["window p50", 2, ({ windows }) => windows?.age_p50_ms],
   ["p99", 5, ({ windows }) => windows?.age_p99_ms],
 ];
+/** Most rows of names below the title of a plot; the panes have the colours of further cameras, too. */
+const ROWS = 3;
 const COSTS = [["p50", 0, ({ windows }) => windows?.cost_p50]];
 const SOLVES = [
   ["p50", 0, ({ windows }) => windows?.solve_p50_ms],
@@ -86,14 +88,30 @@ export class Charts {
     });
   }
 
+  /** Where the names of curves are below the title: rows and places in them. */
+  rowsOf(curves, width) {
+    const placed = [];
+    let [row, x] = [0, 0];
+    for (const { name, colour: tint } of curves) {
+      const wide = this.context.measureText(name).width + 12;
+      if (x > 0 && x + wide > width) [row, x] = [row + 1, 0];
+      if (row === ROWS) break;
+      placed.push({ name, tint, row, x });
+      x += wide + 10;
+    }
+    return placed;
+  }
+
   plot([left, top, width, height], [from, to], time, title, curves) {
     const { context } = this;
     context.fillStyle = this.ink;
     context.globalAlpha = 0.75;
-    context.fillText(title, left, top + 9);
+    context.fillText(title, left, top + 9, width);
     context.globalAlpha = 1;
     const seen = curves.flatMap(({ points }) => points.filter(([t]) => t >= from && t <= to).map(([, y]) => y));
-    const [bottom, room] = [top + height - 2, height - 32];
+    const rows = this.rowsOf(curves, width);
+    const begin = top + 20 + 12 * (rows.at(-1)?.row ?? 0);
+    const [bottom, room] = [top + height - 2, top + height - begin - 12];
     if (seen.length === 0) {
       context.globalAlpha = 0.6;
       context.fillText("nothing here", left, top + 40);
@@ -104,19 +122,18 @@ export class Charts {
     const reach = Math.max(high - low, 1e-3);
     const x = (t) => left + 34 + ((t - from) / Math.max(to - from, 1e-6)) * (width - 34);
     const y = (value) => bottom - 2 - ((value - low) / reach) * (room - 6);
-    context.fillText(high.toFixed(high < 20 ? 1 : 0), left, top + 38);
+    context.fillText(high.toFixed(high < 20 ? 1 : 0), left, begin + 18);
     context.fillText(low.toFixed(high < 20 ? 1 : 0), left, bottom);
-    let at = left;
-    for (const { name, colour: tint, gap, points } of curves) {
+    for (const { name, tint, row, x: at } of rows) {
+      context.fillStyle = tint;
+      context.fillRect(left + at, top + 15 + 12 * row, 8, 8);
+      context.fillStyle = this.ink;
+      context.fillText(name, left + at + 11, top + 23 + 12 * row);
+    }
+    for (const { colour: tint, gap, points } of curves) {
       // Long recordings have fewer points.
       const usual = points.length > 1 ? (points.at(-1)[0] - points[0][0]) / (points.length - 1) : 0;
-      context.fillStyle = context.strokeStyle = tint;
-      if (at + context.measureText(name).width + 12 < left + width) {
-        context.fillRect(at, top + 15, 8, 8);
-        context.fillStyle = this.ink;
-        context.fillText(name, at + 11, top + 23);
-        at += context.measureText(name).width + 22;
-      }
+      context.strokeStyle = tint;
       context.beginPath();
       let last;
       for (const [t, value] of points) {
@@ -129,7 +146,7 @@ export class Charts {
     }
     context.strokeStyle = this.ink;
     context.beginPath();
-    context.moveTo(x(time), top + 30);
+    context.moveTo(x(time), begin + 10);
     context.lineTo(x(time), bottom);
     context.stroke();
   }

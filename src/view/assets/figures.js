@@ -1,9 +1,12 @@
 // The figures at the top: what the node does, and how long things take.
 
-import { timeOfDay } from "./lights.js";
+import { isNodeSilent, recent, timeOfDay } from "./lights.js";
 
-/** What is longer than that is not as it should be: publishing and provisional, microseconds; others, ms. */
+/** Longer than that is not as it should be: publishing and provisional, microseconds; others, ms. */
 const LONG = { publishing: 5000, provisional: 50_000, network: 50, "to the screen": 100 };
+
+/** Bad if the median is too long, warn if the 99th percentile is. */
+const judge = (usual, longest, most) => (usual > most ? "bad" : longest > most ? "warn" : "ok");
 
 const LAST = "median / 99th / 99.9th percentile of the last minute";
 const RECENT = "median / 99th percentile";
@@ -33,23 +36,30 @@ export class Figures {
 
   /**
    * Shows the figures of a time (Infinity: the newest). `shown`: the time of the picture; `present`: how many performers
-   * there are; `toScreen`: times from due times to pictures, ms.
+   * there are, `expected`: how many should be tracked; `toScreen`: times from due times to pictures, ms.
    */
-  show(store, { time, shown, isLive, people, present, toScreen }) {
+  show(store, { time, shown, isLive, people, present, expected, toScreen }) {
     const all = new Map();
-    const set = (name, value, isLong = false) => all.set(name, { value, isLong });
-    set("tracking", `${people.filter(({ state }) => state === "tracking").length} of ${present}`);
+    // Of a node that is silent, nobody knows how it is now.
+    const isUnknown = isLive && isNodeSilent(store);
+    const set = (name, value, level = "") => all.set(name, { value, level: isUnknown ? "" : level });
+    const tracked = people.filter(({ state }) => state === "tracking").length;
+    const worse = tracked > 0 ? "warn" : "bad";
+    set("tracking", `${tracked} of ${present}`, expected === 0 ? "" : tracked >= expected ? "ok" : worse);
     const status = store.historyAt(time).at(-1)?.status;
     if (status) this.ofStatus(store, status, { time, shown, set });
     const arrived = [...store.performers.values()].flatMap(({ poses }) => poses.items.map(({ late }) => late));
     const late = isLive ? arrived.filter((ms) => ms !== undefined) : [];
     for (const [what, times] of [["network", late], ["to the screen", [...toScreen]]]) {
       times.sort((a, b) => a - b);
-      const [p50, p99] = [0.5, 0.99].map((share) => times[Math.floor(share * times.length)]?.toFixed(1));
-      if (p50 !== undefined) set(what, `${p50} / ${p99} ms`, p99 > LONG[what]);
+      const [p50, p99] = [0.5, 0.99].map((share) => times[Math.floor(share * times.length)]);
+      if (p50 === undefined) continue;
+      // The clock of another computer may be wrong.
+      const level = judge(what === "network" ? 0 : p50, p99, LONG[what]);
+      set(what, `${p50.toFixed(1)} / ${p99.toFixed(1)} ms`, level);
     }
-    if (store.unreadable > 0) set("not readable", `${store.unreadable} messages`, true);
-    if (store.dropped > 0) set("not shown", `${store.dropped} messages: this page is too slow`, true);
+    if (store.unreadable > 0) set("not readable", `${store.unreadable} messages`, "warn");
+    if (store.dropped > 0) set("not shown", `${store.dropped} messages: this page is too slow`, "warn");
     const clock = { fractionalSecondDigits: 2, hour: "2-digit", minute: "2-digit", second: "2-digit" };
     const captured = timeOfDay(store.nanoseconds(shown), clock);
     if (people[0]?.timecode) set("timecode", people[0].timecode);
@@ -59,24 +69,31 @@ export class Figures {
 
   ofStatus(store, { playout, windows, declared_latency_ns }, { time, shown, set }) {
     const declared = Number(declared_latency_ns ?? 0n) / 1e6;
-    if (declared > 0) set("latency", `${declared.toFixed(0)} ms`);
+    const { age_p50_ms = 0, age_p99_ms = 0, solve_p50_ms = 0, solve_p99_ms = 0 } = windows ?? {};
+    const judged = (usual, longest) => (declared > 0 && age_p50_ms > 0 ? judge(usual, longest, declared) : "");
+    const [late, solved] = [judged(age_p50_ms, age_p99_ms), judged(age_p50_ms + solve_p50_ms, age_p99_ms + solve_p99_ms)];
+    if (declared > 0) set("latency", `${declared.toFixed(0)} ms`, solved);
     // Of the performer with the most, in the last two seconds.
     const rates = [...store.performers.values()].map(({ poses }) => {
       const [from, to] = [poses.after(shown - 2), poses.after(shown)];
       return to - from > 1 ? (to - from - 1) / (poses.times[to - 1] - poses.times[from]) : 0;
     });
     const rate = Math.max(0, ...rates);
-    if (rate > 0) set("poses", `${rate.toFixed(1)} Hz`);
+    const [missed, coasted] = ["missed", "coasted"].map((name) => recent(store.historyAt(time), (one) => one.playout?.[name]));
+    const level = missed > 0 ? "bad" : coasted > 0 ? "warn" : "ok";
+    if (rate > 0) set("poses", `${rate.toFixed(1)} Hz`, playout ? level : "");
     for (const [what, kind] of [["publishing", "deviation"], ["provisional", "provisional"]]) {
       const all = lastMinute(store, time, `${kind}_counts`);
-      const shares = [0.5, 0.99, 0.999].map((share) => quantile(playout?.[`${kind}_bins_us`], all, share));
-      if (shares[0] !== undefined) set(what, `${shares.map(inMs).join(" / ")} ms`, shares[1] > LONG[what]);
+      const edges = playout?.[`${kind}_bins_us`] ?? [];
+      const shares = [0.5, 0.99, 0.999].map((share) => quantile(edges, all, share));
+      if (shares[0] === undefined) continue;
+      const inMs = (us) => (us === Infinity ? `>${edges.at(-1) / 1000}` : `≤${us / 1000}`);
+      set(what, `${shares.map(inMs).join(" / ")} ms`, judge(shares[0], shares[1], LONG[what]));
     }
-    const { age_p50_ms = 0, age_p99_ms = 0, solve_p50_ms = 0, solve_p99_ms = 0 } = windows ?? {};
-    const isLate = declared > 0 && age_p99_ms > declared;
-    if (age_p50_ms > 0) set("window", `${age_p50_ms.toFixed(0)} / ${age_p99_ms.toFixed(0)} ms`, isLate);
-    const isLong = declared > 0 && !isLate && age_p99_ms + solve_p99_ms > declared;
-    if (solve_p50_ms > 0) set("solve", `${solve_p50_ms.toFixed(1)} / ${solve_p99_ms.toFixed(1)} ms`, isLong);
+    if (age_p50_ms > 0) set("window", `${age_p50_ms.toFixed(0)} / ${age_p99_ms.toFixed(0)} ms`, late);
+    // Of a late window, the solve is not the cause.
+    const ofSolve = late === "ok" ? solved : "";
+    if (solve_p50_ms > 0) set("solve", `${solve_p50_ms.toFixed(1)} / ${solve_p99_ms.toFixed(1)} ms`, ofSolve);
   }
 
   put(all) {
@@ -86,12 +103,12 @@ export class Figures {
       this.rows.delete(name);
     }
     const isNew = [...all.keys()].some((name) => !this.rows.has(name));
-    for (const [name, { value, isLong }] of all) {
+    for (const [name, { value, level }] of all) {
       const row = this.rows.get(name) ?? this.make(name);
       if (isNew) this.list.append(row);
       const figure = row.lastChild;
       if (figure.textContent !== value) figure.textContent = value;
-      figure.className = isLong ? "light warn" : "";
+      figure.className = level && `light ${level}`;
     }
   }
 
@@ -122,5 +139,3 @@ function quantile(edges, all, share) {
   const bin = all.findIndex((count) => (seen += count) >= share * total);
   return bin < edges.length ? edges[bin] : Infinity;
 }
-
-const inMs = (us) => (us === Infinity ? "above all bins" : `≤${us / 1000}`);

@@ -64,9 +64,9 @@ class Light {
 }
 
 /** The difference of a counter over the last seconds of the history. */
-function recent(history, read) {
+export function recent(history, read) {
   const last = history.at(-1);
-  const first = history.find(({ at }) => last.at - at <= 5);
+  const first = history.find(({ at, status }) => last.at - at <= 5 && status.run_id === last.status.run_id);
   const counts = [first, last].map(({ status }) => Number(read(status) ?? 0n));
   return counts[1] - counts[0];
 }

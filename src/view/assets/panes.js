@@ -56,7 +56,9 @@ export class Panes {
       light.textContent = name;
       button.addEventListener("click", () => this.choose(name));
       this.observer.observe(button);
-      this.panes.set(name, { button, canvas, swatch, light, count, context: canvas.getContext("2d") });
+      const pane = { button, canvas, swatch, light, count, context: canvas.getContext("2d") };
+      canvas.addEventListener("contextrestored", () => (pane.isOld = true));
+      this.panes.set(name, pane);
     }
     if (names.join("\n") === this.order) return;
     this.order = names.join("\n");
@@ -81,20 +83,32 @@ export class Panes {
     pane.button.title = words || `look through ${name}`;
   }
 
+  /** Draws what has changed, where it is in sight. */
   draw(store, time, people) {
+    const isShown = (one, k) => ["joints", "points", "tint", "state"].every((key) => one[key] === this.shown[k][key]);
+    const areSame = this.shown?.length === people.length && people.every(isShown);
+    this.shown = people;
     for (const [name, pane] of this.panes) {
+      if (!areSame) pane.isOld = true;
       const lens = this.lenses?.get(name);
       const frame = store.keypoints.get(name)?.shown(time);
       const [width, height] = lens ? [lens.width, lens.height] : (frame?.size ?? [16, 9]);
       const wide = Math.round(pane.canvas.clientWidth * Math.min(devicePixelRatio, 2)) || 200;
       const high = Math.round((wide * height) / Math.max(width, 1));
-      if (pane.canvas.width !== wide || pane.canvas.height !== high) [pane.canvas.width, pane.canvas.height] = [wide, high];
+      const isResized = pane.canvas.width !== wide || pane.canvas.height !== high;
+      if (isResized) [pane.canvas.width, pane.canvas.height, pane.isOld] = [wide, high, true];
+      if (!this.inSight.has(name)) continue;
+      const usual = store.usualOf(name, time);
+      const isAny = store.keypoints.size > 0;
+      const isNew = pane.lens !== lens || pane.frame !== frame || pane.usual !== usual || pane.isAny !== isAny;
+      if (!pane.isOld && !isNew) continue;
+      Object.assign(pane, { isOld: false, lens, frame, usual, isAny });
       const { context } = pane;
       const scale = wide / width;
       context.clearRect(0, 0, wide, high);
       if (lens) for (const one of people) drawBody(context, lens, one, scale);
-      const errors = drawKeypoints(context, lens, frame, people, store.usualOf(name, time), scale);
-      const text = !frame ? (store.keypoints.size > 0 ? "no frame" : "") : errors.length > 0 ? `${median(errors).toFixed(1)} px` : "";
+      const error = drawKeypoints(context, lens, frame, people, usual, scale);
+      const text = !frame ? (isAny ? "no frame" : "") : error > 0 ? `${error.toFixed(1)} px` : "";
       if (pane.count.textContent !== text) pane.count.textContent = text;
     }
   }
@@ -113,51 +127,84 @@ export function drawOver(canvas, through, store, time, people) {
   drawKeypoints(context, lens, frame, people, store.usualOf(lens.name, time), scale);
 }
 
-/** Detected and solved keypoints; returns the distances between them, pixels. */
+/** Numbers in memory that is kept, so that pictures leave less garbage. */
+class Numbers {
+  constructor() {
+    this.all = new Float64Array(64);
+    this.count = 0;
+  }
+
+  push(value) {
+    if (this.count === this.all.length) {
+      const more = new Float64Array(2 * this.count);
+      more.set(this.all);
+      this.all = more;
+    }
+    this.all[this.count++] = value;
+  }
+
+  /** The middle value, `undefined` of none. */
+  get median() {
+    return median(this.all.subarray(0, this.count));
+  }
+}
+
+/** A pixel; index and pixel of each keypoint of a body that a camera sees; distances to one person, and to all. */
+const [at, seen, far, errors] = [[0, 0], new Numbers(), new Numbers(), new Numbers()];
+
+/** Draws detected and solved keypoints; returns the median distance between them, pixels, if there are some. */
 function drawKeypoints(context, lens, frame, people, usual, scale) {
   const detected = frame?.people ?? [];
   for (const person of detected) drawPoints(context, person, scale);
-  return lens ? people.flatMap((one) => drawErrors(context, lens, one, detected, usual, scale)) : [];
+  errors.count = 0;
+  if (lens) for (const one of people) drawErrors(context, lens, one, detected, usual, scale);
+  return errors.median;
 }
 
 /**
  * The body's keypoints as rings, with a line to what was detected; red beyond three times the camera's usual
- * residual. Returns the distances, pixels.
+ * residual. The distances are added to `errors`.
  */
 function drawErrors(context, lens, { points, tint, state }, people, usual, scale) {
-  if (!points || state !== "tracking") return [];
-  const seen = [];
+  if (!points || state !== "tracking") return;
+  seen.count = 0;
   for (let k = 0; k < points.length; k += 4) {
-    const at = project(lens, points[k + 1], points[k + 2], points[k + 3]);
-    if (at) seen.push([points[k], at]);
+    if (!project(lens, points[k + 1], points[k + 2], points[k + 3], at)) continue;
+    seen.push(points[k]);
+    seen.push(at[0]);
+    seen.push(at[1]);
   }
-  const errorsOf = (person) => {
-    const errors = [];
-    for (const [index, [u, v]] of seen) {
-      const [x, y] = [person[3 * index], person[3 * index + 1]];
-      if (person[3 * index + 2] > 0) errors.push([x, y, u, v, Math.hypot(x - u, y - v)]);
-    }
-    return errors;
+  const keypoints = seen.all;
+  // NaN where the point is not detected.
+  const distanceTo = (person, k) => {
+    const index = 3 * keypoints[k];
+    return person[index + 2] > 0 ? Math.hypot(person[index] - keypoints[k + 1], person[index + 1] - keypoints[k + 2]) : NaN;
   };
-  let best;
+  // Farther is somebody else, where this performer is not detected.
+  let [best, least] = [undefined, NEAR * Math.hypot(lens.width, lens.height)];
   for (const person of people) {
-    const errors = errorsOf(person);
-    if (errors.length < 3) continue;
-    const error = median(errors.map(([, , , , distance]) => distance));
-    if (!best || error < best.error) best = { error, errors };
+    far.count = 0;
+    for (let k = 0; k < seen.count; k += 3) {
+      const distance = distanceTo(person, k);
+      if (distance >= 0) far.push(distance);
+    }
+    const error = far.count < 3 ? Infinity : far.median;
+    if (error <= least) [best, least] = [person, error];
   }
-  // Somebody else, where this performer is not detected.
-  if (!best || best.error > NEAR * Math.hypot(lens.width, lens.height)) return [];
+  if (!best) return;
   context.lineWidth = 1.5;
-  for (const [x, y, u, v, distance] of best.errors) {
+  for (let k = 0; k < seen.count; k += 3) {
+    const distance = distanceTo(best, k);
+    if (!(distance >= 0)) continue;
+    errors.push(distance);
+    const [index, u, v] = [3 * keypoints[k], keypoints[k + 1], keypoints[k + 2]];
     context.strokeStyle = usual > 0 && distance > 3 * usual ? "#ff5349" : tint;
     context.beginPath();
     context.arc(u * scale, v * scale, 2.5, 0, 2 * Math.PI);
     context.moveTo(u * scale, v * scale);
-    context.lineTo(x * scale, y * scale);
+    context.lineTo(best[index] * scale, best[index + 1] * scale);
     context.stroke();
   }
-  return best.errors.map(([, , , , distance]) => distance);
 }
 
 function drawPoints(context, points, scale) {
@@ -173,14 +220,20 @@ function drawPoints(context, points, scale) {
 }
 
 function drawBody(context, lens, { joints, parents, tint, state }, scale) {
-  const at = parents.map((_, j) => project(lens, joints[3 * j], joints[3 * j + 1], joints[3 * j + 2]));
+  seen.count = 0;
+  for (let j = 0; j < 3 * parents.length; j += 3) {
+    const isSeen = project(lens, joints[j], joints[j + 1], joints[j + 2], at);
+    seen.push(isSeen ? at[0] * scale : NaN);
+    seen.push(isSeen ? at[1] * scale : NaN);
+  }
   context.strokeStyle = state === "tracking" ? tint : "#8a8f98";
   context.lineWidth = 1.5;
   context.beginPath();
-  parents.forEach((parent, j) => {
-    if (parent < 0 || !at[j] || !at[parent]) return;
-    context.moveTo(at[parent][0] * scale, at[parent][1] * scale);
-    context.lineTo(at[j][0] * scale, at[j][1] * scale);
-  });
+  for (let j = 0; j < parents.length; j++) {
+    const parent = parents[j];
+    if (parent < 0 || Number.isNaN(seen.all[2 * j] + seen.all[2 * parent])) continue;
+    context.moveTo(seen.all[2 * parent], seen.all[2 * parent + 1]);
+    context.lineTo(seen.all[2 * j], seen.all[2 * j + 1]);
+  }
   context.stroke();
 }

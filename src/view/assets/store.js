@@ -1,9 +1,12 @@
 // What came so far: the newest of what stays, and the last seconds of what streams.
 
-import { numberOf } from "./colours.js";
+import { COLOURS, numberOf } from "./colours.js";
 
 /** The middle value, which is sorted to its place; `undefined` of none. */
 export const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
+
+/** Steps between the newest items, in memory that is kept. */
+const steps = new Float64Array(8);
 
 /** Items in order of time, seconds. */
 export class Series {
@@ -54,8 +57,11 @@ export class Series {
 
   /** The item to show at a time. It is at most 0.21 s old; where items are rarer, at most one and a half steps. */
   shown(time) {
-    const newest = this.times.slice(-9);
-    const step = median(newest.slice(1).map((at, k) => at - newest[k])) ?? 0;
+    const { times } = this;
+    const [count, last] = [Math.min(steps.length, times.length - 1), times.length - 1];
+    if (count <= 0) return this.at(time, 0.21);
+    for (let k = 0; k < count; k++) steps[k] = times[last - k] - times[last - k - 1];
+    const step = median(count === steps.length ? steps : steps.subarray(0, count));
     return this.at(time, Math.max(0.21, 1.5 * Math.min(step, 2)));
   }
 
@@ -122,10 +128,18 @@ export class Store {
     let one = this.performers.get(name);
     if (!one) {
       const [poses, provisional, points] = [new Series(), new Series(), new Series()];
-      one = { name, number: numberOf(name, this.performers.size), poses, provisional, points };
+      one = { name, number: this.numberOf(name), poses, provisional, points };
       this.performers.set(name, one);
     }
     return one;
+  }
+
+  /** The number of a performer's colour. In a second solve of a take, as `p1 (2)`, it is paler, in a third darker. */
+  numberOf(name) {
+    const [, first] = /^(.*) \(\d+\)$/.exec(name) ?? [];
+    const solves = [...this.performers.keys()].filter((other) => other === first || other.startsWith(`${first} (`));
+    if (solves.length > 0) return this.performers.get(solves[0]).number + COLOURS.length * solves.length;
+    return numberOf(name, this.performers.size);
   }
 
   camera(name) {
@@ -282,7 +296,8 @@ export class Store {
 
   /** The usual residual of a camera at a time, pixels; 0: not known. */
   usualOf(name, time) {
-    const newest = this.node === undefined ? this.historyAt(time).at(-1) : this.statuses.items.at(-1);
+    const { items } = this.statuses;
+    const newest = this.node === undefined ? items.findLast(({ seconds }) => seconds <= time + 1) : items.at(-1);
     return newest?.status.cameras.find(({ camera }) => camera === name)?.usual_px ?? 0;
   }
 

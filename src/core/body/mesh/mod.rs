@@ -298,11 +298,11 @@ mod tests {
     }
 
     /// Length of the convex hull of a section, as a tape measures it; of the points with `xs` only.
-    fn girth(mesh: &Mesh, axis: usize, at: f64, xs: Range<f64>) -> f64 {
+    fn girth(skin: &[Vector3<f64>], axis: usize, at: f64, xs: Range<f64>) -> f64 {
         let mut points = Vec::new();
-        for face in &mesh.faces {
+        for face in &Mesh::template().faces {
             for k in 0..3 {
-                let [a, b] = [face[k], face[(k + 1) % 3]].map(|v| mesh.vertices[v as usize]);
+                let [a, b] = [face[k], face[(k + 1) % 3]].map(|v| skin[v as usize]);
                 let (da, db) = (a[axis] - at, b[axis] - at);
                 if (da < 0.0) != (db < 0.0) {
                     points.push(a.lerp(&b, da / (da - db)));
@@ -332,7 +332,7 @@ mod tests {
 
     #[test]
     fn girths_are_those_of_the_mean_adult() {
-        let mesh = Mesh::template();
+        let skin = &Mesh::template().vertices;
         let (trunk, left) = (-0.2..0.2, 0.0..1.0);
         // [Gordon 2014], women and men to equal parts, centimetres. Flexed arms there, so 1 cm less here.
         let table = [
@@ -350,7 +350,7 @@ mod tests {
             ("wrist", 0, 0.705, &left, 16.6),
         ];
         for (name, axis, at, xs, usual) in table {
-            let found = 100.0 * girth(mesh, axis, at, Range::clone(xs));
+            let found = 100.0 * girth(skin, axis, at, Range::clone(xs));
             println!("{name}: {found:.1} cm, usually {usual:.1}");
             assert!((found / usual - 1.0).abs() < 0.05, "{name}: {found:.1} cm, usually {usual}");
         }
@@ -383,6 +383,16 @@ mod tests {
         assert!((usual - 1.72).abs() < 0.01, "{usual} m");
         tall[0] = 2.0;
         assert!((height(tall) / usual - 1.104).abs() < 1e-9);
+        // Girths of limbs grow half as much; the trunk is also as wide as shoulders and hips are.
+        let large = mesh.rest(&Skeleton::new(Shape(tall)));
+        for (at, xs) in
+            [(0.275, -0.2..0.2), (0.060, -0.2..0.2), (-0.170, 0.0..1.0), (-0.620, 0.0..1.0)]
+        {
+            let usual = girth(&mesh.vertices, 1, at, Range::clone(&xs));
+            let found = girth(&large, 1, 1.104 * at, 1.104 * xs.start..1.104 * xs.end) / usual;
+            let most = if xs.start < 0.0 { 1.09 } else { 1.06 };
+            assert!((1.04..most).contains(&found), "{found} times at {at} m");
+        }
         assert_eq!(mesh.rest(&Skeleton::default()).len(), mesh.vertices.len());
         for (rest, template) in mesh.rest(&Skeleton::default()).iter().zip(&mesh.vertices) {
             assert!((rest - template).norm() < 1e-12);

@@ -10,30 +10,34 @@ export function lensOf(camera) {
   ];
   const move = camera.camera_from_world_translation_m;
   const centre = [0, 1, 2].map((k) => -(rotation[k] * move[0] + rotation[3 + k] * move[1] + rotation[6 + k] * move[2]));
-  const lens = { ...camera, rotation, move, centre, coefficients: camera.lens_coefficients ?? [], skew: camera.skew_px ?? 0 };
+  const coefficients = Array.from({ length: 8 }, (_, k) => camera.lens_coefficients?.[k] ?? 0);
+  const lens = { ...camera, rotation, move, centre, coefficients, skew: camera.skew_px ?? 0 };
   return { ...lens, limit: limitOf(lens) };
 }
 
-/** The pixel of a point in the world (metres); undefined if the camera cannot see it. */
-export function project(lens, px, py, pz) {
+/** The pixel of a point in the world (metres), in `out`; undefined if the camera cannot see it. */
+export function project(lens, px, py, pz, out = [0, 0]) {
   const { rotation: r, move: t } = lens;
   const x = r[0] * px + r[1] * py + r[2] * pz + t[0];
   const y = r[3] * px + r[4] * py + r[5] * pz + t[1];
   const z = r[6] * px + r[7] * py + r[8] * pz + t[2];
-  return z < 0.05 || Math.hypot(x, y) > lens.limit * z ? undefined : pixel(lens, x / z, y / z);
+  return z < 0.05 || Math.hypot(x, y) > lens.limit * z ? undefined : pixel(lens, x / z, y / z, out);
 }
 
 /** Where the lens moves a ray. */
-function bent(lens, x, y) {
-  return lens.lens === 2 ? fisheye(x, y, lens.coefficients) : brown(x, y, lens.coefficients);
+function bent(lens, x, y, out = [0, 0]) {
+  if (lens.lens === 2) fisheye(x, y, lens.coefficients, out);
+  else brown(x, y, lens.coefficients, out);
+  return out;
 }
 
 /** The pixel of a ray; x and y where it meets the plane at depth 1. */
-function pixel(lens, x, y) {
-  const [u, v] = bent(lens, x, y);
-  const [fx, fy] = lens.focal_px;
-  const [cx, cy] = lens.centre_px;
-  return [fx * u + lens.skew * v + cx, fy * v + cy];
+function pixel(lens, x, y, out = [0, 0]) {
+  bent(lens, x, y, out);
+  const { focal_px: focal, centre_px: centre } = lens;
+  out[0] = focal[0] * out[0] + lens.skew * out[1] + centre[0];
+  out[1] = focal[1] * out[1] + centre[1];
+  return out;
 }
 
 /** Distances from the axis, at depth 1: to where a fold is looked for (84 degrees), and rays of pixels (79 degrees). */
@@ -79,20 +83,21 @@ function limitOf(lens) {
   return Infinity;
 }
 
-function brown(x, y, [k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0, k4 = 0, k5 = 0, k6 = 0]) {
+/** `k`: k1, k2, p1, p2, k3, k4, k5, k6. */
+function brown(x, y, k, out) {
   const r = x * x + y * y;
-  const radial = (1 + r * (k1 + r * (k2 + r * k3))) / (1 + r * (k4 + r * (k5 + r * k6)));
-  return [
-    x * radial + 2 * p1 * x * y + p2 * (r + 2 * x * x),
-    y * radial + p1 * (r + 2 * y * y) + 2 * p2 * x * y,
-  ];
+  const radial = (1 + r * (k[0] + r * (k[1] + r * k[4]))) / (1 + r * (k[5] + r * (k[6] + r * k[7])));
+  out[0] = x * radial + 2 * k[2] * x * y + k[3] * (r + 2 * x * x);
+  out[1] = y * radial + k[2] * (r + 2 * y * y) + 2 * k[3] * x * y;
 }
 
-function fisheye(x, y, [k1 = 0, k2 = 0, k3 = 0, k4 = 0]) {
+/** `k`: k1 to k4. */
+function fisheye(x, y, k, out) {
   const flat = Math.hypot(x, y);
-  if (flat < 1e-9) return [x, y];
   const angle = Math.atan(flat);
   const a = angle * angle;
-  const bent = angle * (1 + a * (k1 + a * (k2 + a * (k3 + a * k4))));
-  return [(x / flat) * bent, (y / flat) * bent];
+  const bent = angle * (1 + a * (k[0] + a * (k[1] + a * (k[2] + a * k[3]))));
+  const scale = flat < 1e-9 ? 1 : bent / flat;
+  out[0] = x * scale;
+  out[1] = y * scale;
 }

@@ -251,16 +251,23 @@ export class View {
       tag.remove();
       this.tags.delete(key);
     }
+    // Names of performers do not lie on each other.
+    const taken = [];
     for (const [key, [text, at]] of wanted) {
       let tag = this.tags.get(key);
       if (!tag) {
         tag = this.labels.appendChild(document.createElement("span"));
         this.tags.set(key, tag);
       }
-      if (tag.textContent !== text) tag.textContent = text;
+      if (tag.textContent !== text) [tag.textContent, tag.half] = [text, 3.3 * text.length];
       const place = this.place(at, width, height);
       tag.hidden = place === undefined;
-      const [x, y] = place ?? [0, 0];
+      let [x, y] = place ?? [0, 0];
+      if (place && key.startsWith("performer")) {
+        const isOver = ([u, v, half]) => Math.abs(u - x) < half + tag.half && Math.abs(v - y) < 13;
+        while (taken.some(isOver)) y -= 13;
+        taken.push([x, y, tag.half]);
+      }
       tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, -50%)`;
     }
   }
