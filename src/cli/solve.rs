@@ -138,8 +138,8 @@ pub(super) struct Arguments {
     /// The optimiser of the windows; lbfgs is for the paper's setting, --config config/paper.toml.
     #[arg(long, value_enum)]
     optimiser: Option<OptimiserName>,
-    /// Write poses.mcap without the messages with which Foxglove and Lichtblick show it in 3D. The file
-    /// is then smaller.
+    /// Leave out of poses.mcap what Foxglove and Lichtblick need to show it in 3D. The file is then a
+    /// third smaller.
     #[cfg(feature = "view")]
     #[arg(long)]
     no_foxglove: bool,

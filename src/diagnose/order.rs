@@ -65,7 +65,8 @@ pub(super) fn away(
     let what = format!("its capture times are {away:+.3} s from those of the others");
     let offset = (cameras[camera].time_offset.seconds() - away) * 1e3;
     let fix = format!(
-        "set its clock, or write time_offset_ms = {offset:.0} in its calibration (a guess)"
+        "set its clock; if all cameras began together, time_offset_ms = {offset:.0} in its calibration \
+         mends it"
     );
     Some(Finding::new("clock", what, fix))
 }

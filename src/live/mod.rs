@@ -23,7 +23,7 @@ pub use core::port::{
 pub use core::publication::{Content, Publication};
 pub use error::{Elder, NodeError};
 #[cfg(feature = "view")]
-pub(crate) use observe::advice::{advice, is_expected, is_fine};
+pub(crate) use observe::advice::{USED_AGAIN, advice, is_expected, is_fine};
 pub use observe::process::Usage;
 pub use observe::{log, metrics};
 pub use replay::compare::{Comparison, Recorded};

@@ -22,7 +22,7 @@ const HEAD: usize = 4096;
 /// The frame rate of a single pose.
 const FALLBACK_FPS: f64 = 60.0;
 /// Most poses of all performers that play in the report: 36 minutes of one at 60 Hz, fewer a second of a longer
-/// take. They are 34 MB of report.html.
+/// take. So many take 34 MB in report.html.
 pub(super) const PLAYED: usize = 1 << 17;
 
 impl Bin for CompactPose {

@@ -39,8 +39,8 @@ impl Access {
         let token = (!address.ip().is_loopback()).then(|| {
             let new = format!("{:032x}", rand::random::<u128>());
             let Some(path) = token_file().filter(|_| is_lasting) else { return new };
-            kept(&path, &new).unwrap_or_else(|error| {
-                tracing::warn!("the page has a new token: {}: {error}", path.display());
+            lasting_token(&path, &new).unwrap_or_else(|error| {
+                tracing::warn!("{}: {error}; the page has a new token", path.display());
                 new
             })
         });
@@ -77,15 +77,18 @@ impl Access {
     }
 }
 
-/// The file of this user with the token of live pages.
+/// The file with the token of this user's live pages, by the XDG specification; `None`: the user has no home.
 fn token_file() -> Option<PathBuf> {
     let folder = |variable| var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute());
     let home = || Some(folder("HOME")?.join(".local/state"));
     Some(folder("XDG_STATE_HOME").or_else(home)?.join("bundlemocap/view-token"))
 }
 
-/// The token in a file that only this user can read. If there is no file, it gets the new one.
-fn kept(path: &Path, new: &str) -> io::Result<String> {
+/// The token in a file that only this user can read. If there is no file, it is made with the new token.
+///
+/// # Errors
+/// The file cannot be made or read, others can read it, or it holds something else.
+fn lasting_token(path: &Path, new: &str) -> io::Result<String> {
     if !path.try_exists()? {
         let folder = path.parent().unwrap_or(path);
         fs::create_dir_all(folder)?;
@@ -148,15 +151,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("state/view-token");
         let [first, second] = ["0123456789abcdef", "fedcba9876543210"];
-        assert_eq!(kept(&path, first).unwrap(), first);
-        assert_eq!(kept(&path, second).unwrap(), first);
+        assert_eq!(lasting_token(&path, first).unwrap(), first);
+        assert_eq!(lasting_token(&path, second).unwrap(), first);
         fs::write(&path, format!("{second}\n")).unwrap();
-        assert_eq!(kept(&path, first).unwrap(), second);
+        assert_eq!(lasting_token(&path, first).unwrap(), second);
         fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).unwrap();
-        assert!(kept(&path, first).is_err());
+        assert!(lasting_token(&path, first).is_err());
         fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
         fs::write(&path, "cut").unwrap();
-        assert!(kept(&path, first).is_err());
-        assert!(kept(&path.join("below a file"), first).is_err());
+        assert!(lasting_token(&path, first).is_err());
+        assert!(lasting_token(&path.join("below a file"), first).is_err());
     }
 }

@@ -27,7 +27,7 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
 use crate::io::recording::RecordError;
 use crate::io::report;
-use crate::live::{advice, is_expected};
+use crate::live::{USED_AGAIN, advice, is_expected};
 
 /// Why the page cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -218,6 +218,7 @@ async fn about(State(source): State<Source>) -> Response {
         "name": name,
         "node": node,
         "expected": expected,
+        "used_again": USED_AGAIN,
         "advice": advice.collect::<BTreeMap<_, _>>(),
     });
     let fields = include_str!(concat!(env!("OUT_DIR"), "/messages.json"));

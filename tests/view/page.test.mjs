@@ -226,6 +226,7 @@ test("the skin of the page is the skin of the library", async () => {
 test("a light says what is wrong with a camera, and no longer than that", async () => {
   const { match } = await start(["view", join(folder, "walk/poses.mcap"), "--listen", "127.0.0.1:0"], /open (\S+)/);
   const { page, said } = await open(match[1]);
+  await people(page, 1);
   const found = await page.evaluate(async () => {
     const { cameraLight } = await import("./lights.js");
     const events = [];

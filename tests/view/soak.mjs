@@ -1,7 +1,7 @@
 // The live page over ten minutes: npm run soak. Environment: PERFORMERS (1), CAMERAS (4), SECONDS (600), PAGES (1),
-// SOCKETS (0; connections that draw nothing, as pages on other computers), TAKE (a recording of them; else one is made, for
-// many performers in minutes), and those of browser.mjs. It prints figures; in ten minutes or more it fails if the memory of
-// the page grows.
+// SOCKETS (0; connections that draw nothing, as pages on other computers), TAKE (a recording with these performers; without
+// it one is made, which takes minutes for many), and those of browser.mjs. It prints figures; in ten minutes or more it fails
+// if the memory of the page grows.
 
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";

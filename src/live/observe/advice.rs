@@ -13,8 +13,9 @@ pub(crate) fn is_expected(kind: &str) -> bool {
     [&of_performers[..], &of_cameras, &of_node].concat().contains(&kind)
 }
 
-/// How details begin that say that a camera that was moved or out of time is used again.
-const USED_AGAIN: [&str; 4] = ["fits again", "mended", "in time again", "its frames agree"];
+/// How the detail of an event begins when a camera that was moved or out of time is used again.
+pub(crate) const USED_AGAIN: [&str; 4] =
+    ["fits again", "mended", "in time again", "its frames agree"];
 
 /// Whether an event belongs to a good run.
 pub(crate) fn is_fine(kind: &str, detail: &str) -> bool {

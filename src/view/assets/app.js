@@ -19,7 +19,7 @@ const PARENTS = [-1];
 const SPEEDS = [...$("speed").options].map(({ value }) => Number(value));
 
 const { about, messages } = await (await fetch("about.json")).json();
-setExpected(about.expected);
+setExpected(about.expected, about.used_again);
 const isLive = about.shows === "live";
 const overview = isLive ? undefined : await (await fetch("overview.json")).json();
 const store = new Store(new Decoder(messages), about.node ?? undefined, overview?.node);
@@ -180,7 +180,7 @@ function tick() {
 function showNode(people) {
   const { level, words } = isLive ? nodeLight(store, source.connected) : recordingLight();
   $("node").className = `light ${level}`;
-  // Nobody expects a pose of who has left, or is to come.
+  // Live, all are expected who have not left; in a recording, those with a pose.
   const isNow = isLive && chosen.playing;
   const expected = isNow ? present().filter(({ name }) => store.lifeOf(name) !== "left").length : people.length;
   setText($("node"), `${isLive ? "node" : "file"} ${level}${words.length > 0 ? `: ${words.join("; ")}` : ""}`);

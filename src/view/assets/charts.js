@@ -2,6 +2,9 @@
 
 import { colour } from "./colours.js";
 
+/** Most rows of names below the title of a plot. More cameras have their colours in the panes. */
+const ROWS = 3;
+
 const ANGLES = [
   ["left knee", "l_hip", "l_knee", "l_ankle"], ["right knee", "r_hip", "r_knee", "r_ankle"],
   ["left elbow", "l_shoulder", "l_elbow", "l_wrist"], ["right elbow", "r_shoulder", "r_elbow", "r_wrist"],
@@ -32,8 +35,6 @@ const LATENCIES = [
   ["window p50", 2, ({ windows }) => windows?.age_p50_ms],
   ["p99", 5, ({ windows }) => windows?.age_p99_ms],
 ];
-/** Most rows of names below the title of a plot; the panes have the colours of further cameras, too. */
-const ROWS = 3;
 const COSTS = [["p50", 0, ({ windows }) => windows?.cost_p50]];
 const SOLVES = [
   ["p50", 0, ({ windows }) => windows?.solve_p50_ms],
@@ -88,7 +89,7 @@ export class Charts {
     });
   }
 
-  /** Where the names of curves are below the title: rows and places in them. */
+  /** The names of the curves below the title, each with its row and its place in it, pixels. */
   rowsOf(curves, width) {
     const placed = [];
     let [row, x] = [0, 0];

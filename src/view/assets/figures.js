@@ -40,7 +40,7 @@ export class Figures {
    */
   show(store, { time, shown, isLive, people, present, expected, toScreen }) {
     const all = new Map();
-    // Of a node that is silent, nobody knows how it is now.
+    // The figures of a silent node are old.
     const isUnknown = isLive && isNodeSilent(store);
     const set = (name, value, level = "") => all.set(name, { value, level: isUnknown ? "" : level });
     const tracked = people.filter(({ state }) => state === "tracking").length;
@@ -71,8 +71,9 @@ export class Figures {
     const declared = Number(declared_latency_ns ?? 0n) / 1e6;
     const { age_p50_ms = 0, age_p99_ms = 0, solve_p50_ms = 0, solve_p99_ms = 0 } = windows ?? {};
     const judged = (usual, longest) => (declared > 0 && age_p50_ms > 0 ? judge(usual, longest, declared) : "");
-    const [late, solved] = [judged(age_p50_ms, age_p99_ms), judged(age_p50_ms + solve_p50_ms, age_p99_ms + solve_p99_ms)];
-    if (declared > 0) set("latency", `${declared.toFixed(0)} ms`, solved);
+    const ofAge = judged(age_p50_ms, age_p99_ms);
+    const ofBoth = judged(age_p50_ms + solve_p50_ms, age_p99_ms + solve_p99_ms);
+    if (declared > 0) set("latency", `${declared.toFixed(0)} ms`, ofBoth);
     // Of the performer with the most, in the last two seconds.
     const rates = [...store.performers.values()].map(({ poses }) => {
       const [from, to] = [poses.after(shown - 2), poses.after(shown)];
@@ -90,9 +91,9 @@ export class Figures {
       const inMs = (us) => (us === Infinity ? `>${edges.at(-1) / 1000}` : `≤${us / 1000}`);
       set(what, `${shares.map(inMs).join(" / ")} ms`, judge(shares[0], shares[1], LONG[what]));
     }
-    if (age_p50_ms > 0) set("window", `${age_p50_ms.toFixed(0)} / ${age_p99_ms.toFixed(0)} ms`, late);
-    // Of a late window, the solve is not the cause.
-    const ofSolve = late === "ok" ? solved : "";
+    if (age_p50_ms > 0) set("window", `${age_p50_ms.toFixed(0)} / ${age_p99_ms.toFixed(0)} ms`, ofAge);
+    // If a window is late before its solve, the solve is not the cause.
+    const ofSolve = ofAge === "ok" ? ofBoth : "";
     if (solve_p50_ms > 0) set("solve", `${solve_p50_ms.toFixed(1)} / ${solve_p99_ms.toFixed(1)} ms`, ofSolve);
   }
 

@@ -20,15 +20,13 @@ const OF_CLOCK = {
   foreign: "the cameras' clock has another epoch",
 };
 const BAD = ["camera_moved", "conflict", "dropped", "lost", "overdue", "rig_refused", "silent", "unusable"];
-let expected = [];
+let [expected, usedAgain] = [[], []];
 
-/** Sets the kinds of events that belong to a good run. */
-export function setExpected(kinds) {
-  expected = kinds;
+/** Sets the kinds of events that belong to a good run, and how the words begin when a camera is used again. */
+export function setExpected(kinds, words) {
+  [expected, usedAgain] = [kinds, words];
 }
 
-/** How the node's words begin when a camera that was moved or out of time is used again. */
-const USED_AGAIN = ["fits again", "mended", "in time again", "its frames agree"];
 /** Kinds of events that hold until one of these comes, however long that is. */
 const LASTING = ["camera_moved", "clock_offset"];
 
@@ -37,7 +35,7 @@ export function levelOf({ kind, detail }) {
   // Of these kinds not all belong to a good run.
   if (kind === "clock" && !detail.includes("the cameras use")) return "warn";
   if (kind === "solver" && detail.includes("no solver is there")) return "warn";
-  if (expected.includes(kind) || USED_AGAIN.some((words) => detail.startsWith(words))) return "ok";
+  if (expected.includes(kind) || usedAgain.some((words) => detail.startsWith(words))) return "ok";
   return BAD.includes(kind) ? "bad" : "warn";
 }
 

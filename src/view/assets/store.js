@@ -128,14 +128,14 @@ export class Store {
     let one = this.performers.get(name);
     if (!one) {
       const [poses, provisional, points] = [new Series(), new Series(), new Series()];
-      one = { name, number: this.numberOf(name), poses, provisional, points };
+      one = { name, number: this.numberFor(name), poses, provisional, points };
       this.performers.set(name, one);
     }
     return one;
   }
 
-  /** The number of a performer's colour. In a second solve of a take, as `p1 (2)`, it is paler, in a third darker. */
-  numberOf(name) {
+  /** The number of the colour of a new performer. A second solve of `p1`, `p1 (2)`, is paler, a third one is darker. */
+  numberFor(name) {
     const [, first] = /^(.*) \(\d+\)$/.exec(name) ?? [];
     const solves = [...this.performers.keys()].filter((other) => other === first || other.startsWith(`${first} (`));
     if (solves.length > 0) return this.performers.get(solves[0]).number + COLOURS.length * solves.length;

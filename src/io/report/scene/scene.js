@@ -10,6 +10,8 @@ const BONES = JOINTS - 1;
 const UP = new three.Vector3(0, 1, 0);
 
 const GREY = new three.Color("#8a8f98");
+/** Half of the width of a letter of a name, and the height of a line, pixels. */
+const [HALF_LETTER, LINE] = [3.3, 13];
 
 /** The colour of a performer; greyish if the pose is not to be trusted. */
 function tinted(out, { tint, state }) {
@@ -251,7 +253,7 @@ export class View {
       tag.remove();
       this.tags.delete(key);
     }
-    // Names of performers do not lie on each other.
+    // The names of performers do not overlap: one that would is higher.
     const taken = [];
     for (const [key, [text, at]] of wanted) {
       let tag = this.tags.get(key);
@@ -259,13 +261,13 @@ export class View {
         tag = this.labels.appendChild(document.createElement("span"));
         this.tags.set(key, tag);
       }
-      if (tag.textContent !== text) [tag.textContent, tag.half] = [text, 3.3 * text.length];
+      if (tag.textContent !== text) [tag.textContent, tag.half] = [text, HALF_LETTER * text.length];
       const place = this.place(at, width, height);
       tag.hidden = place === undefined;
       let [x, y] = place ?? [0, 0];
       if (place && key.startsWith("performer")) {
-        const isOver = ([u, v, half]) => Math.abs(u - x) < half + tag.half && Math.abs(v - y) < 13;
-        while (taken.some(isOver)) y -= 13;
+        const isOver = ([u, v, half]) => Math.abs(u - x) < half + tag.half && Math.abs(v - y) < LINE;
+        while (taken.some(isOver)) y -= LINE;
         taken.push([x, y, tag.half]);
       }
       tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, -50%)`;
