@@ -60,6 +60,7 @@ pub const DEFAULT_TOML: &str = include_str!("../config/default.toml");
 
 /// Why a configuration file cannot be used.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("cannot read the configuration {}: {source}; check the path", path.display())]
@@ -166,18 +167,20 @@ impl Config {
         }
         let house = config.timecode.house();
         house.map_err(|source| ConfigError::Timecode { path: path.into(), source })?;
-        let checked = [
-            ("stage", config.stage.validate()),
-            ("tracker", config.tracker.validate()),
-            ("node", config.node.validate()),
-        ];
-        for (table, result) in checked {
-            result.map_err(|error| ConfigError::OutOfRange {
-                path: path.into(),
-                error: error.in_table(table),
-            })?;
-        }
+        let unfit = |error| ConfigError::OutOfRange { path: path.into(), error };
+        config.validate().map_err(unfit)?;
         Ok(config)
+    }
+
+    /// Checks the ranges of all numbers. The settings of a file are checked when it is read.
+    ///
+    /// # Errors
+    /// The first number that is out of range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        let in_table = |table| move |error: OutOfRange| error.in_table(table);
+        self.stage.validate().map_err(in_table("stage"))?;
+        self.tracker.validate().map_err(in_table("tracker"))?;
+        self.node.validate().map_err(in_table("node"))
     }
 
     /// Settings that do not fit each other, and what would fit.

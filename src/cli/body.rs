@@ -9,7 +9,7 @@ use super::Ended;
 use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, check_ending, is_same_file};
 use super::solve::{Progress, decoder, lost};
-use super::terminal::{complain, progress, say, table};
+use super::terminal::{complain, say, table};
 use crate::config::Config;
 use crate::io::recording::write_body_file;
 use crate::io::wire::{Skeleton, Topics};
@@ -30,7 +30,7 @@ same size is not noticed.
 
 The file is only for --body. To recognise people, the node needs other files: see [stage] bodies.
 
-Exit code 6: a take is damaged. Exit code 15: with --strict, a take may show another person.
+Exit code 6: a take is damaged, or could not be used. Exit code 15: with --strict, a take may show another person.
 
 Examples:
   bundlemocap body takes/lead-*.mcap --out lead.mcap
@@ -80,19 +80,32 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         no_sync: arguments.no_sync,
         ..Options::default()
     };
-    let opened = arguments.files.iter().map(Recording::open);
-    let mut recordings = opened.collect::<Result<Vec<_>, _>>()?;
+    let (mut recordings, mut unread) = (Vec::new(), Vec::new());
+    for file in &arguments.files {
+        match Recording::open(file) {
+            Ok(recording) => recordings.push(recording),
+            Err(error) => unread.push((file, Failure::from(error))),
+        }
+    }
+    if recordings.is_empty() && !unread.is_empty() {
+        return Err(unread.swap_remove(0).1);
+    }
     let messages = recordings.iter().map(Recording::messages).sum();
-    let mut bar = Progress(progress(messages, "messages"));
-    let (body, takes) = estimate_body(&mut recordings, &options, &mut bar)?;
-    bar.0.finish_and_clear();
+    let mut bar = Progress::over(messages);
+    let (body, mut takes) = estimate_body(&mut recordings, &options, &mut bar)?;
+    bar.bar.finish_and_clear();
+    takes.extend(unread.into_iter().map(|(file, failure)| {
+        let (recording, problem) = (file.clone(), Some(failure.line()));
+        TakeBody { recording, problem, ..TakeBody::default() }
+    }));
     let body_mm = segment_lengths(&body).map(|length| 1e3 * length);
     if arguments.json {
         let text = serde_json::to_string_pretty(&json!({ "body_mm": body_mm, "takes": takes }));
         say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
     } else {
         let alone = |take: &TakeBody| {
-            let alone = take.alone_mm.map_or("too short".to_owned(), |mm| lengths(&mm));
+            let without = if take.problem.is_some() { "not used" } else { "too short" };
+            let alone = take.alone_mm.map_or(without.to_owned(), |mm| lengths(&mm));
             (take.recording.display().to_string(), alone)
         };
         let mut rows: Vec<_> = takes.iter().map(alone).collect();
@@ -107,6 +120,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         }
     }
     let mut exit = Exit::Done;
+    for problem in takes.iter().filter_map(|take| take.problem.as_ref()) {
+        complain("warning", &format!("{problem}; the take is left out"));
+        exit = Exit::InPart;
+    }
     for recording in &recordings {
         if lost(recording) != Exit::Done {
             exit = Exit::InPart;

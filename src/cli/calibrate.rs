@@ -8,7 +8,7 @@ use serde_json::json;
 use super::Ended;
 use super::overwrite::{Overwrite, check_ending};
 use super::solve::{Progress, lost};
-use super::terminal::{complain, progress, say, table};
+use super::terminal::{complain, say, table};
 use crate::config::Config;
 use crate::core::calibration::{OFFSET_REACH, offset_step};
 use crate::core::time::Nanos;
@@ -75,9 +75,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     let mut recording = Recording::open(&arguments.file)?;
     let options = Options { config: config.tracker, ..Options::default() };
-    let mut bar = Progress(progress(recording.messages(), "messages"));
+    let mut bar = Progress::over(recording.messages());
     let found = check_cameras(&mut recording, &options, !arguments.time_only, &mut bar)?;
-    bar.0.finish_and_clear();
+    bar.bar.finish_and_clear();
     let told = recording.silent_note().into_iter().chain(recording.rig_note());
     told.for_each(|note| complain("note", &note));
     for note in &found.notes {

@@ -9,7 +9,7 @@ use super::Ended;
 use super::failure::{Exit, Failure};
 use super::rig::ConventionArguments;
 use super::solve::{Progress, lost};
-use super::terminal::{complain, progress, say};
+use super::terminal::{complain, say};
 use crate::core::camera::Rig;
 use crate::diagnose::Check;
 use crate::offline;
@@ -56,9 +56,9 @@ pub(super) struct Arguments {
 /// Judges a recording. The exit code says whether all of it could be read.
 fn judge(file: &Path, rig: Option<&Rig>, arguments: &Arguments) -> Result<(Check, Exit), Failure> {
     let mut recording = arguments.convention.open(file, rig)?;
-    let mut bar = Progress(progress(recording.messages(), "messages"));
+    let mut bar = Progress::over(recording.messages());
     let check = offline::check(&mut recording, &mut bar)?;
-    bar.0.finish_and_clear();
+    bar.bar.finish_and_clear();
     recording.rig_note().iter().for_each(|note| complain("note", note));
     Ok((check, lost(&recording)))
 }

@@ -131,6 +131,13 @@ pub fn run_with(words: Vec<OsString>) -> u8 {
         Command::Export(arguments) => export::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };
+    let result = match (result, terminal::unwritten()) {
+        (Ok(_), Some(reason)) => {
+            let message = format!("standard output cannot be written: {reason}");
+            Err(Failure::new(Exit::Unexpected, message))
+        }
+        (result, _) => result,
+    };
     let exit = result.unwrap_or_else(|failure: Failure| {
         terminal::complain("error", &failure.line());
         failure.exit

@@ -110,7 +110,10 @@ impl From<NodeError> for Failure {
             NodeError::Rig(error) => return error.into(),
             NodeError::Occupied { .. } => Exit::SecondNode,
             NodeError::Prometheus { .. } | NodeError::Log { .. } => Exit::Usage,
-            NodeError::Thread(_) | NodeError::Fault { .. } => Exit::Unexpected,
+            NodeError::Settings(_) | NodeError::Name(_) => Exit::Malformed,
+            NodeError::Thread(_) | NodeError::Fault { .. } | NodeError::NoSolver => {
+                Exit::Unexpected
+            }
         };
         Self::new(exit, error.to_string())
     }

@@ -1,6 +1,7 @@
 //! `bundlemocap solve`
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{File, TryLockError};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,6 +10,7 @@ use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 
 use super::Ended;
+use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::overwrite::is_no_input;
 use super::rig::{ConventionArguments, read as read_rig};
@@ -51,15 +53,17 @@ poses.p1.bvh and poses.p1.states.csv, poses.p2.bvh ...
 
 Several recordings, or one with --jobs, are each solved into a folder of their own, DIR/NAME. It
 also gets summary.json (as of --json) and manifest.json (version, inputs, settings). A recording is
-not solved again if these are the same. One that failed or was interrupted is solved again. One
-that fails does not stop the others. Several processes on one computer may share the work.
+not solved again if these and its outputs are the same; if not, --overwrite is needed. One that
+failed or was interrupted is solved again. One that fails does not stop the others. Several
+processes on one computer may share the work: each waits at the end for the takes of the others.
+With --names and --bodies, takes are solved one after the other, in the order of their names.
 `bundlemocap summary DIR` prints all.
 
 The recording is streamed: memory does not grow with its length. Percentiles are exact up to
 131072 values (points or windows), and within 0.05 % above that.
 
 Exit code 6: windows fit badly, a recording is damaged, or one of several failed. All solvable
-parts are written; lost poses are flagged.
+parts are written; lost poses are flagged. Ctrl-C ends a solve, and leaves no half files.
 
 Examples:
   bundlemocap solve recordings/walk.mcap --out out
@@ -173,13 +177,23 @@ enum OptimiserName {
     Lbfgs,
 }
 
-/// A progress bar over the messages of the recording.
-pub(super) struct Progress(pub(super) ProgressBar);
+/// A progress bar over the messages of the recording. A stop request ends the solve: no half files stay.
+pub(super) struct Progress {
+    pub(super) bar: ProgressBar,
+    pub(super) stop: Stop,
+}
+
+impl Progress {
+    /// One that is never asked to stop.
+    pub(super) fn over(messages: u64) -> Self {
+        Self { bar: progress(messages, "messages"), stop: Stop::default() }
+    }
+}
 
 impl Observer for Progress {
     fn message(&mut self) -> ControlFlow<()> {
-        self.0.inc(1);
-        ControlFlow::Continue(())
+        self.bar.inc(1);
+        if self.stop.is_set() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 }
 
@@ -199,6 +213,7 @@ pub(super) struct Prepared {
     body: Option<Arc<Skeleton>>,
     references: Vec<Trajectories>,
     rig: Option<Rig>,
+    pub(super) stop: Stop,
 }
 
 /// A recording that was solved.
@@ -227,6 +242,23 @@ impl Solved {
             }
         }
         Self { group, performers, lines, exit }
+    }
+
+    /// The cameras' time offsets that are in use: what they are, and their values.
+    pub(super) fn offsets(&self) -> impl Iterator<Item = (String, String)> {
+        self.group.performers.first().into_iter().flat_map(|one| one.summary.offset_rows())
+    }
+
+    /// Whether the body with that role in the manifest is of somebody who was known, or became known.
+    pub(super) fn knows(&self, role: &str) -> bool {
+        let name = role.strip_prefix(BODY_OF);
+        self.group.known.iter().any(|known| Some(&*known.name) == name)
+    }
+
+    /// The files that were written.
+    pub(super) fn files(&self) -> Vec<String> {
+        let names: Vec<_> = self.group.performers.iter().map(|one| one.performer.clone()).collect();
+        files(&names, self.performers)
     }
 
     /// What `--json` prints.
@@ -279,7 +311,13 @@ impl Prepared {
         let rig = rig.map(|rig| read_rig(rig, &arguments.convention)).transpose()?;
         // A wrong file is said before the first take is solved.
         config.known_people()?;
-        Ok(Self { config, decoder, body: body.map(Arc::new), references, rig })
+        let (body, stop) = (body.map(Arc::new), Stop::on_signals()?);
+        Ok(Self { config, decoder, body, references, rig, stop })
+    }
+
+    /// Whether people may become known, for the takes that follow.
+    pub(super) fn makes_known(&self) -> bool {
+        self.config.bodies_folder().is_some() && !self.config.stage.names.is_empty()
     }
 
     /// The files of known bodies that exist now, by their role in the manifest.
@@ -293,9 +331,10 @@ impl Prepared {
 
     /// All that changes a solve beside its files.
     pub(super) fn settings(&self, arguments: &Arguments) -> serde_json::Value {
-        // The threads do not change the result.
-        let mut config = self.config.clone();
-        config.tracker.threads = Config::default().tracker.threads;
+        // Threads, node and bus do not change the result.
+        let Config { stage, mut tracker, timecode, .. } = self.config.clone();
+        tracker.threads = Config::default().tracker.threads;
+        let config = Config { stage, tracker, timecode, ..Config::default() };
         let mut settings = serde_json::json!({
             "config": config.to_toml(),
             "weights": format!("{:016x}", self.decoder.fingerprint()),
@@ -331,7 +370,10 @@ impl Prepared {
         let times = Times::of(file, Some(&self.config))?;
         let span = arguments.span.within(&times)?;
         recording = recording.within(span);
+        let folder = self.config.bodies_folder().filter(|_| self.makes_known());
+        let _alone = folder.map(|folder| self.lock(folder)).transpose()?;
         let timecode = times.timecode.clone();
+        let one_each = arguments.jobs.filter(|_| !self.makes_known()).map(|_| 1);
         let options = Options {
             config: self.config.tracker,
             decoder: Some(self.decoder.clone()),
@@ -348,14 +390,15 @@ impl Prepared {
             overwrite,
             no_sync: arguments.no_sync,
             timecode: times.house,
-            threads: arguments.threads.or(arguments.jobs.map(|_| 1)).map_or(0, usize::from),
+            threads: arguments.threads.or(one_each).map_or(0, usize::from),
             companion: arguments.companion(),
             config_toml: Some(Config { timecode, ..self.config.clone() }.to_toml()),
         };
         let earlier = if overwrite { performers_of(&out.join("poses.mcap")) } else { Vec::new() };
-        let mut progress = Progress(bar(options.passes() * recording.messages()));
+        let bar = bar(options.passes() * recording.messages());
+        let mut progress = Progress { bar, stop: self.stop.clone() };
         let group = solve_group(&mut recording, &options, &mut progress)?;
-        progress.0.finish_and_clear();
+        progress.bar.finish_and_clear();
         let of = |name: &str| of_performer(name, performers, "");
         let new: Vec<_> = group.performers.iter().map(|one| of(&one.performer)).collect();
         remove_others(out, &earlier, &new);
@@ -372,6 +415,19 @@ impl Prepared {
         Ok(Solved::of(file, group, performers))
     }
 
+    /// Waits until no other solve makes people known in a folder, until the file is dropped.
+    fn lock(&self, folder: &Path) -> Result<File, Failure> {
+        let lock = || {
+            std::fs::create_dir_all(folder)?;
+            let file = File::create(folder.join(".lock"))?;
+            locked(&file, Some(&self.stop)).map(|_| file)
+        };
+        lock().map_err(|error| {
+            let message = format!("{}: cannot be locked ({error})", folder.display());
+            Failure::new(Exit::Unexpected, message)
+        })
+    }
+
     /// Writes the bodies of performers with a name, and says which ones are not known well enough.
     fn save_bodies(&self, group: &Group) -> Result<(), Failure> {
         let Some(folder) = self.config.bodies_folder() else { return Ok(()) };
@@ -385,6 +441,20 @@ impl Prepared {
             note(&format!("no body of {name} is written: tracked too shortly, or lost too often"));
         }
         Ok(())
+    }
+}
+
+/// Locks a file until it is dropped; false if another process has it. With `until`, waits for that, at most until the stop.
+pub(super) fn locked(file: &File, until: Option<&Stop>) -> std::io::Result<bool> {
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(true),
+            Err(TryLockError::WouldBlock) if until.is_some_and(|stop| !stop.is_set()) => {
+                std::thread::sleep(ATTENTION);
+            }
+            Err(TryLockError::WouldBlock) => return Ok(false),
+            Err(TryLockError::Error(error)) => return Err(error),
+        }
     }
 }
 
@@ -477,8 +547,7 @@ fn tell(arguments: &Arguments, solved: &Solved) -> Result<(), Failure> {
         Some(only) if performers.limit() == 1 => only.summary.rows(),
         _ => group.rows(),
     };
-    let names: Vec<String> = group.performers.iter().map(|one| one.performer.clone()).collect();
-    let (out, files) = (arguments.out.join(""), files(&names, *performers).join(", "));
+    let (out, files) = (arguments.out.join(""), solved.files().join(", "));
     rows.push(("written to".into(), format!("{}: {files}", out.display())));
     say(&table(&rows));
     Ok(())

@@ -1,12 +1,12 @@
 //! `bundlemocap solve` of several recordings, and `bundlemocap summary`
 
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use clap::Args;
 use indicatif::ProgressBar;
@@ -15,28 +15,41 @@ use serde_json::Value;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::solve::{Arguments, Prepared, Solved, alone};
+use super::solve::{Arguments, Prepared, Solved, alone, locked};
 use super::terminal::{complain, progress, say, table};
 use crate::core::fnv::{fnv1a, fnv1a_after};
+use crate::io::new_file::remove_parts;
 use crate::offline::output::text as write_text;
 
-/// The poses of a take.
-const POSES: &str = "poses.mcap";
 /// What was done for a take. While it is being done, the file is locked and empty.
 const MANIFEST: &str = "manifest.json";
 /// The measurements of a take, as `solve --json` prints them.
 const SUMMARY: &str = "summary.json";
 
-/// What a take's outputs follow from, and how it ended.
+/// What a take's outputs follow from.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-struct Manifest {
+struct Origin {
     version: String,
     /// The recording, and what all takes share.
     inputs: BTreeMap<String, Fingerprint>,
     settings: Value,
+}
+
+/// A take that was solved.
+#[derive(Debug, Serialize, Deserialize)]
+struct Manifest {
+    #[serde(flatten)]
+    origin: Origin,
     exit_code: i32,
-    /// The poses that were written.
-    poses: Option<Fingerprint>,
+    /// The files that were written, by name.
+    outputs: BTreeMap<String, Fingerprint>,
+}
+
+/// In place of the manifest: why a take could not be solved.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NotSolved {
+    error: String,
 }
 
 /// A file's length and hash.
@@ -51,7 +64,7 @@ enum Outcome {
     Solved(Solved),
     /// It was solved before.
     Kept(Exit),
-    /// Another process solves it.
+    /// Another process is at it.
     Busy,
     Failed(Failure),
 }
@@ -83,42 +96,63 @@ fn each(arguments: &Arguments, prepared: &Prepared) -> Ended {
     let inputs = inputs.map(|(role, path)| Ok((role, fingerprint(&path)?)));
     let shelf = Shelf { arguments, prepared, inputs: inputs.collect::<Result<_, Failure>>()? };
     let bar = progress(takes.len() as u64, "takes");
-    let (next, ended) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    let work = || {
-        while let Some(take) = takes.get(next.fetch_add(1, Ordering::Relaxed)) {
-            // A fault of ours in one take must not stop the others.
-            let solved = catch_unwind(AssertUnwindSafe(|| shelf.solve(take)));
-            let outcome = solved.unwrap_or_else(|_| {
-                Err(Failure::new(Exit::Unexpected, "a fault of the program; see above"))
-            });
-            let outcome = outcome.unwrap_or_else(Outcome::Failed);
-            bar.suspend(|| tell(take, &outcome));
-            bar.inc(1);
-            if let Ok(mut ended) = ended.lock() {
-                ended.push(outcome);
-            }
-        }
+    let solve = |take: &Take, waits: bool| {
+        // A fault of ours in one take must not stop the others.
+        let solved = catch_unwind(AssertUnwindSafe(|| shelf.solve(take, waits)));
+        let outcome = solved.unwrap_or_else(|_| {
+            Err(Failure::new(Exit::Unexpected, "a fault of the program; see above"))
+        });
+        let outcome = outcome.unwrap_or_else(Outcome::Failed);
+        bar.suspend(|| tell(take, &outcome));
+        bar.inc(u64::from(!matches!(outcome, Outcome::Busy)));
+        outcome
     };
-    std::thread::scope(|scope| {
-        let jobs = usize::from(arguments.jobs.unwrap_or(1)).min(takes.len());
-        (0..jobs).for_each(|_| drop(scope.spawn(work)));
-    });
+    // Who becomes known in one take is known in those after it.
+    let is_in_order = prepared.makes_known();
+    if is_in_order && arguments.jobs.is_some_and(|jobs| jobs > 1) {
+        complain("note", "people become known by name: one take is solved after the other");
+    }
+    let jobs = if is_in_order { 1 } else { usize::from(arguments.jobs.unwrap_or(1)) };
+    let solve_all = |numbers: &[usize], waits: bool| {
+        let (next, ended) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+        let work = || {
+            while !prepared.stop.is_set()
+                && let Some(&number) = numbers.get(next.fetch_add(1, Ordering::Relaxed))
+            {
+                let outcome = (number, solve(&takes[number], waits));
+                ended.lock().unwrap_or_else(PoisonError::into_inner).push(outcome);
+            }
+        };
+        std::thread::scope(|scope| {
+            (0..jobs.min(numbers.len())).for_each(|_| drop(scope.spawn(work)));
+        });
+        ended.into_inner().unwrap_or_else(PoisonError::into_inner)
+    };
+    let mut ended = solve_all(&(0..takes.len()).collect::<Vec<_>>(), false);
+    // Another process may be at them, or may have been stopped.
+    let busy = ended.extract_if(.., |(_, outcome)| matches!(outcome, Outcome::Busy));
+    let busy: Vec<usize> = busy.map(|(number, _)| number).collect();
+    ended.extend(solve_all(&busy, true));
     bar.finish_and_clear();
-    let ended = ended.into_inner().unwrap_or_default();
+    let ended: Vec<Outcome> = ended.into_iter().map(|(_, outcome)| outcome).collect();
     let count = |is: fn(&Outcome) -> bool| ended.iter().filter(|one| is(one)).count();
     let solved = count(|one| matches!(one, Outcome::Solved(_)));
     let kept = count(|one| matches!(one, Outcome::Kept(_)));
-    let busy = count(|one| matches!(one, Outcome::Busy));
     let failed = count(|one| matches!(one, Outcome::Failed(_)));
-    let busy = if busy > 0 { format!(", {busy} being solved elsewhere") } else { String::new() };
-    let of = takes.len();
-    say(&format!("{solved} solved, {kept} solved before, {failed} failed{busy}, of {of}"));
-    let is_whole = |one: &Outcome| match one {
-        Outcome::Solved(solved) => solved.exit == Exit::Done,
-        Outcome::Kept(exit) => *exit == Exit::Done,
-        Outcome::Busy | Outcome::Failed(_) => false,
+    let (open, of) = (takes.len() - solved - kept - failed, takes.len());
+    let open = if open > 0 { format!(", {open} not solved yet") } else { String::new() };
+    say(&format!("{solved} solved, {kept} solved before, {failed} failed{open}, of {of}"));
+    let exit = |one: &Outcome| match one {
+        Outcome::Solved(solved) => solved.exit,
+        Outcome::Kept(exit) => *exit,
+        Outcome::Failed(failure) => failure.exit,
+        Outcome::Busy => Exit::InPart,
     };
-    Ok(if ended.iter().all(is_whole) { Exit::Done } else { Exit::InPart })
+    Ok(match &ended[..] {
+        [only] if of == 1 => exit(only),
+        all if all.len() == of && all.iter().all(|one| exit(one) == Exit::Done) => Exit::Done,
+        _ => Exit::InPart,
+    })
 }
 
 fn tell(take: &Take, outcome: &Outcome) {
@@ -129,10 +163,16 @@ fn tell(take: &Take, outcome: &Outcome) {
             for (kind, text) in &solved.lines {
                 complain(kind, &format!("{name}: {text}"));
             }
+            for (offset, value) in solved.offsets() {
+                complain("note", &format!("{name}: {offset} {value}"));
+            }
             say(&format!("{name}: solved{}", part(solved.exit)));
         }
         Outcome::Kept(exit) => say(&format!("{name}: solved before{}", part(*exit))),
-        Outcome::Busy => complain("note", &format!("{name}: another process solves it")),
+        Outcome::Busy => {
+            let text = "another process solves it; this one waits for it at the end";
+            complain("note", &format!("{name}: {text}"));
+        }
         Outcome::Failed(failure) => complain("error", &format!("{name}: {}", failure.line())),
     }
 }
@@ -163,8 +203,8 @@ struct Shelf<'a> {
 }
 
 impl Shelf<'_> {
-    /// Solves a take if it is not solved, and nobody else is at it.
-    fn solve(&self, take: &Take) -> Result<Outcome, Failure> {
+    /// Solves a take if it is not solved, and nobody else is at it. `waits`: until then.
+    fn solve(&self, take: &Take, waits: bool) -> Result<Outcome, Failure> {
         let overwrite = self.arguments.overwrite;
         let path = take.out.join(MANIFEST);
         let unwritten = |error: std::io::Error| {
@@ -177,14 +217,14 @@ impl Shelf<'_> {
             let what = "holds other files; choose another --out, or use --overwrite";
             return Err(Failure::new(Exit::Usage, format!("{} {what}", take.out.display())));
         }
+        // A mistyped name gets no folder.
+        File::open(take.file).map_err(|error| unread(take.file, &error))?;
         std::fs::create_dir_all(&take.out).map_err(unwritten)?;
         let mut open = OpenOptions::new();
         let file = open.read(true).write(true).create(true).truncate(false).open(&path);
         let mut file = file.map_err(unwritten)?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Ok(Outcome::Busy),
-            Err(TryLockError::Error(error)) => return Err(unwritten(error)),
+        if !locked(&file, waits.then_some(&self.prepared.stop)).map_err(unwritten)? {
+            return Ok(Outcome::Busy);
         }
         let mut text = String::new();
         file.read_to_string(&mut text).map_err(unwritten)?;
@@ -192,55 +232,79 @@ impl Shelf<'_> {
         let mut inputs = self.inputs.clone();
         inputs.insert("recording".into(), fingerprint(take.file)?);
         // Of the known bodies, those that existed after the solve. Others may have come since.
-        let known = |role: &String| before.iter().any(|before| before.inputs.contains_key(role));
+        let known =
+            |role: &String| before.iter().any(|before| before.origin.inputs.contains_key(role));
         for (role, path) in self.prepared.bodies()?.into_iter().filter(|(role, _)| known(role)) {
             inputs.insert(role, fingerprint(&path)?);
         }
-        let mut wanted = Manifest {
-            version: env!("CARGO_PKG_VERSION").into(),
-            inputs,
-            settings: self.prepared.settings(self.arguments),
-            exit_code: before.as_ref().map_or(0, |before| before.exit_code),
-            poses: fingerprint(&take.out.join(POSES)).ok(),
+        let version = env!("CARGO_PKG_VERSION").into();
+        let origin = Origin { version, inputs, settings: self.prepared.settings(self.arguments) };
+        // What is not as it should be, if it is another solve's.
+        let other = match &before {
+            Some(before) if before.origin == origin => {
+                let is_changed = |(name, written): &(&String, &Fingerprint)| {
+                    fingerprint(&take.out.join(name)).ok().as_ref() != Some(*written)
+                };
+                let Some((changed, _)) = before.outputs.iter().find(is_changed) else {
+                    let whole = before.exit_code == Exit::Done as i32;
+                    return Ok(Outcome::Kept(if whole { Exit::Done } else { Exit::InPart }));
+                };
+                let changed = take.out.join(changed);
+                Some(format!("{} was changed or removed after the solve", changed.display()))
+            }
+            // Empty: it was interrupted.
+            _ if text.is_empty() || serde_json::from_str::<NotSolved>(&text).is_ok() => None,
+            _ => {
+                let out = take.out.display();
+                Some(format!("{out} was solved from other inputs, settings or by another version"))
+            }
         };
-        if before.as_ref() == Some(&wanted) && wanted.poses.is_some() {
-            let whole = wanted.exit_code == Exit::Done as i32;
-            return Ok(Outcome::Kept(if whole { Exit::Done } else { Exit::InPart }));
-        }
-        // An empty manifest is of a take that failed or was interrupted.
-        if !text.is_empty() && !overwrite {
-            let what =
-                "was solved from other inputs, settings or by another version, or was changed";
-            let message = format!("{} {what}; use --overwrite", take.out.display());
-            return Err(Failure::new(Exit::Usage, message));
+        if let Some(other) = other.filter(|_| !overwrite) {
+            return Err(Failure::new(Exit::Usage, format!("{other}; use --overwrite")));
         }
         file.set_len(0).map_err(unwritten)?;
-        let quiet = |_| ProgressBar::hidden();
-        let solved = self.prepared.solve(self.arguments, take.file, &take.out, true, quiet);
-        let mut note = |text: &str| {
+        remove_parts(&take.out);
+        let result = self.solve_anew(take, origin);
+        let text = match &result {
+            Ok((_, manifest)) => json(manifest)?,
+            // A solve that fails leaves the files as they were.
+            Err(_) if before.is_some() => text,
+            Err(failure) => json(&NotSolved { error: failure.line() })?,
+        };
+        let mut write = || {
             file.set_len(0)?;
             file.rewind()?;
             file.write_all(text.as_bytes())?;
             file.sync_all()
         };
-        let solved = match solved {
-            Ok(solved) => solved,
-            Err(failure) => {
-                // A solve that fails leaves the files as they were.
-                note(&text).map_err(unwritten)?;
-                return Err(failure);
-            }
-        };
-        write_text(&take.out.join(SUMMARY), &solved.json()?)?;
-        for (role, path) in self.prepared.bodies()? {
-            wanted.inputs.insert(role, fingerprint(&path)?);
-        }
-        wanted.exit_code = solved.exit as i32;
-        wanted.poses = Some(fingerprint(&take.out.join(POSES))?);
-        let text = serde_json::to_string_pretty(&wanted);
-        text.map_err(std::io::Error::from).and_then(|text| note(&text)).map_err(unwritten)?;
-        Ok(Outcome::Solved(solved))
+        write().map_err(unwritten)?;
+        result.map(|(solved, _)| Outcome::Solved(solved))
     }
+
+    /// Solves a take into its folder.
+    fn solve_anew(&self, take: &Take, mut origin: Origin) -> Result<(Solved, Manifest), Failure> {
+        let quiet = |_| ProgressBar::hidden();
+        let solved = self.prepared.solve(self.arguments, take.file, &take.out, true, quiet)?;
+        write_text(&take.out.join(SUMMARY), &solved.json()?)?;
+        let bodies = self.prepared.bodies()?.into_iter();
+        for (role, path) in bodies.filter(|(role, _)| solved.knows(role)) {
+            origin.inputs.insert(role, fingerprint(&path)?);
+        }
+        let names = solved.files().into_iter().chain([SUMMARY.to_owned()]);
+        let outputs = names.map(|name| Ok((name.clone(), fingerprint(&take.out.join(name))?)));
+        let outputs = outputs.collect::<Result<_, Failure>>()?;
+        let exit_code = solved.exit as i32;
+        Ok((solved, Manifest { origin, exit_code, outputs }))
+    }
+}
+
+fn json(value: &impl Serialize) -> Result<String, Failure> {
+    let text = serde_json::to_string_pretty(value);
+    text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))
+}
+
+fn unread(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::new(Exit::Unreadable, format!("{}: cannot be read ({error})", path.display()))
 }
 
 /// Length and hash of a file, which is read in parts.
@@ -255,15 +319,15 @@ fn fingerprint(path: &Path) -> Result<Fingerprint, Failure> {
             }
         }
     };
-    let (bytes, hash) = read().map_err(|error: std::io::Error| {
-        Failure::new(Exit::Unreadable, format!("{}: cannot be read ({error})", path.display()))
-    })?;
+    let (bytes, hash) = read().map_err(|error: std::io::Error| unread(path, &error))?;
     Ok(Fingerprint { bytes, hash: format!("{hash:016x}") })
 }
 
 /// Print a table of the takes that `bundlemocap solve` of several recordings has solved.
 #[derive(Debug, Args)]
 #[command(after_help = "\
+A take that is not solved has the reason.
+
 Exit code 6: a take is not solved, or in part.
 
 Examples:
@@ -279,46 +343,48 @@ pub(super) struct SummaryArguments {
 }
 
 pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
-    let unread = |error: std::io::Error| {
-        let message = format!("{}: cannot be read ({error})", arguments.folder.display());
-        Failure::new(Exit::Unreadable, message)
-    };
+    let unread = |error: std::io::Error| unread(&arguments.folder, &error);
     let mut takes = BTreeMap::new();
     for entry in std::fs::read_dir(&arguments.folder).map_err(unread)? {
         let folder = entry.map_err(unread)?.path();
         let read = |name: &str| std::fs::read_to_string(folder.join(name)).ok();
-        let Some(manifest) = read(MANIFEST) else { continue };
-        let manifest = serde_json::from_str::<Manifest>(&manifest).ok();
+        let Some(text) = read(MANIFEST) else { continue };
+        let manifest = serde_json::from_str::<Manifest>(&text).ok();
         // The summary of a take that is being solved anew is of the solve before.
         let summary = read(SUMMARY).filter(|_| manifest.is_some());
         let summary = summary.and_then(|text| serde_json::from_str::<Value>(&text).ok());
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        takes.insert(name, manifest.zip(summary));
+        takes.insert(name, manifest.zip(summary).ok_or_else(|| not_solved(&text)));
     }
     if takes.is_empty() {
         let message = format!("{} holds no solved takes", arguments.folder.display());
         return Err(Failure::new(Exit::NotOurs, message));
     }
     if arguments.json {
-        let of =
-            |take: &Option<(Manifest, Value)>| take.as_ref().map(|(_, summary)| summary.clone());
+        let of = |take: &Result<(Manifest, Value), String>| {
+            take.as_ref().ok().map(|(_, summary)| summary.clone())
+        };
         let all: BTreeMap<_, _> = takes.iter().map(|(name, take)| (name, of(take))).collect();
-        let text = serde_json::to_string_pretty(&all);
-        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+        say(&json(&all)?);
     } else {
         let rows = takes.iter().flat_map(|(name, take)| match take {
-            Some((manifest, summary)) => rows(name, summary, manifest.exit_code),
-            None => vec![(
-                name.clone(),
-                "not solved: it failed, was interrupted, or is being solved".into(),
-            )],
+            Ok((manifest, summary)) => rows(name, summary, manifest.exit_code),
+            Err(reason) => vec![(name.clone(), format!("not solved: {reason}"))],
         });
         say(&table(&rows.collect::<Vec<_>>()));
     }
-    let is_whole = |take: &Option<(Manifest, Value)>| {
-        take.as_ref().is_some_and(|(manifest, _)| manifest.exit_code == Exit::Done as i32)
+    let is_whole = |take: &Result<(Manifest, Value), String>| {
+        take.as_ref().is_ok_and(|(manifest, _)| manifest.exit_code == Exit::Done as i32)
     };
     Ok(if takes.values().all(is_whole) { Exit::Done } else { Exit::InPart })
+}
+
+/// Why a take is not solved. `text` is what is in place of its manifest.
+fn not_solved(text: &str) -> String {
+    match serde_json::from_str::<NotSolved>(text) {
+        Ok(NotSolved { error }) => error,
+        Err(_) => "it was interrupted, is being solved, was solved by another version, or lacks its summary".to_owned(),
+    }
 }
 
 /// A row for each performer of a take. `exit`: the exit code of its solve.
@@ -330,11 +396,12 @@ fn rows(name: &str, summary: &Value, exit: i32) -> Vec<(String, String)> {
         let whole = |path: &str| number(path).unwrap_or(0.0);
         let px =
             number("/reprojection/median_px").map_or("- px".to_owned(), |px| format!("{px:.1} px"));
-        let lost = whole("/lost");
+        let frames = whole("/frames");
+        let of = number("/frames_recorded").filter(|recorded| *recorded > frames);
+        let of = of.map_or_else(String::new, |recorded| format!(" of {recorded}"));
+        let (flagged, lost, windows) = (whole("/frames_lost"), whole("/lost"), whole("/windows"));
         let text = format!(
-            "{} frames, {px}, {lost} of {} windows lost{part}",
-            whole("/frames"),
-            whole("/windows")
+            "{frames}{of} frames ({flagged} flagged), {px}, {lost} of {windows} windows lost{part}"
         );
         (name, text)
     };

@@ -1,6 +1,7 @@
 //! Output to the terminal: lines, tables, progress. A closed pipe is not an error.
 
-use std::io::Write;
+use std::io::{ErrorKind, Write};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -10,9 +11,24 @@ pub(crate) fn say(text: &str) {
     let _ = tell(text);
 }
 
-/// Prints to standard output; false if the pipe is closed.
+/// Why standard output could not be written, if it is not a closed pipe.
+static UNWRITTEN: OnceLock<String> = OnceLock::new();
+
+/// Prints to standard output; false if that is not possible.
 pub(crate) fn tell(text: &str) -> bool {
-    writeln!(std::io::stdout().lock(), "{text}").is_ok()
+    let mut out = std::io::stdout().lock();
+    let written = writeln!(out, "{text}").and_then(|()| out.flush());
+    if let Err(error) = &written
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        UNWRITTEN.get_or_init(|| error.to_string());
+    }
+    written.is_ok()
+}
+
+/// Why standard output could not be written, if it is not a closed pipe.
+pub(crate) fn unwritten() -> Option<&'static str> {
+    UNWRITTEN.get().map(String::as_str)
 }
 
 /// Prints `kind: text` to standard error.

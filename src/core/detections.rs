@@ -5,7 +5,7 @@ use std::fmt;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use crate::core::time::Timestamp;
+use crate::core::time::{TIMES_NS, Timestamp};
 
 /// The order of a detector's keypoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -182,7 +182,7 @@ impl KeypointFormat {
 pub struct Detection {
     /// Pixels, OpenCV's pixel centres, as detected (distorted).
     pub pixel: Point2<f64>,
-    /// In (0, 1]; larger detector scores are clamped at the input.
+    /// In (0, 1]; larger detector scores count as 1.
     pub confidence: f64,
 }
 
@@ -208,6 +208,35 @@ pub struct Detections {
     pub format: KeypointFormat,
     /// In any order; empty if nobody was seen.
     pub people: Vec<Person>,
+}
+
+impl Detections {
+    /// Why a frame cannot be used; `None` if it can.
+    pub(crate) fn flaw(&self) -> Option<String> {
+        let ns = self.capture.ns();
+        if !TIMES_NS.contains(&ns) {
+            let (least, most) = (TIMES_NS.start(), TIMES_NS.end());
+            return Some(format!("its capture time {ns} ns is not from {least} to {most}"));
+        }
+        let (format, wanted) = (self.format.name(), self.format.len());
+        let flaw = |person: &Person| {
+            let count = person.points.len();
+            if count != wanted {
+                return Some(format!("a person has {count} points, {format} has {wanted}"));
+            }
+            let is_odd = |point: &Option<Detection>| {
+                point.is_some_and(|Detection { pixel, confidence }| {
+                    // In single precision, as messages have them.
+                    let is_finite = |value: f64| (value as f32).is_finite();
+                    !([pixel.x, pixel.y, confidence].into_iter().all(is_finite)
+                        && confidence >= 0.0)
+                })
+            };
+            let odd = person.points.iter().position(is_odd)?;
+            Some(format!("point {odd} of a person is no finite pixel with a confidence"))
+        };
+        self.people.iter().find_map(flaw)
+    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,13 @@
 //! Capture times and durations.
 
 use std::fmt;
-use std::ops::{Add, Div, Mul, Neg, Sub};
+use std::ops::{Add, Div, Mul, Neg, RangeInclusive, Sub};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+
+/// Valid times: the years 1684 to 2255 by the Unix epoch.
+pub const TIMES_NS: RangeInclusive<i64> = -9_000_000_000_000_000_000..=9_000_000_000_000_000_000;
 
 /// Nanoseconds since the common epoch of the recording's cameras. Never a processing time.
 #[derive(

@@ -14,6 +14,8 @@ const LEAST_PART: usize = 6;
 const TIMES_WORSE: f64 = 2.0;
 /// A fault of a part lowers the mean error to this part of what a fault of the whole recording leaves.
 const LOWERED: f64 = 0.7;
+/// The same beside a wrong frame rate: where motion is periodic, one may look much like a step of the clock.
+const LOWERED_OF_RATE: f64 = 0.9;
 
 /// A recording in two parts; one of them is bad.
 #[derive(Clone, Copy, Debug)]
@@ -91,7 +93,9 @@ fn fault(
     let (left, split) = split(&now, &then)?;
     let before = mean(&now);
     let whole = before.min(mean(&then)).min(mean(&undone));
-    (left < LOWERED * whole).then(|| (before - left, described(scene, split, camera, hypothesis)))
+    let is_rate = judged.findings[camera].as_ref().is_some_and(|found| found.cause == "frame_rate");
+    let lowered = if is_rate { LOWERED_OF_RATE } else { LOWERED };
+    (left < lowered * whole).then(|| (before - left, described(scene, split, camera, hypothesis)))
 }
 
 /// The two parts that differ most, if one is much worse.

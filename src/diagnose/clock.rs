@@ -10,6 +10,8 @@ use crate::core::time::{Nanos, Timestamp};
 /// Shifts up to this number of frames are tried one by one, larger ones every [`STRIDE`] frames first.
 const NEAR: i64 = 30;
 const STRIDE: i64 = 3;
+/// In a part of a recording, shifts are tried up to this number of frames: motion may be periodic.
+const MOST_IN_PART: i64 = 300;
 /// A camera with another frame rate is late by so many frames at most, at the start.
 const NEAR_AT_START: i64 = 6;
 /// Usual frame rates, Hz.
@@ -41,15 +43,25 @@ pub(super) fn is_of_clock(finding: &Finding) -> bool {
     ["time_shift", "frame_rate"].contains(&finding.cause)
 }
 
-/// Other clocks of a camera, the best one of each kind: shifted further than in [`shifts`], or with another rate.
-pub(super) fn clocks(scene: &Scene, camera: usize, points: &[Points]) -> Vec<Hypothesis> {
+/// Other clocks of a camera, the best one of each kind: shifted further than in [`shifts`], or with another rate. `is_part`:
+/// in a part of the recording, where a clock can only be shifted.
+pub(super) fn clocks(
+    scene: &Scene,
+    camera: usize,
+    points: &[Points],
+    is_part: bool,
+) -> Vec<Hypothesis> {
     let Some([first, last]) = scene.footage.tracks[camera].span else { return Vec::new() };
     let reading = &scene.readings[camera];
     let now = scene.errors(camera, reading, points);
     let period = scene.periods[camera];
     let search = Search { scene, camera, points, now, period, first, last };
-    let far = far(scene, camera, i64::MAX, |clock| search.error(&search.errors(clock)));
-    let kinds = [(far, WEIGHT), (search.rated(), WEIGHT), (search.drifting(), DRIFT_WEIGHT)];
+    let most = if is_part { MOST_IN_PART } else { i64::MAX };
+    let far = far(scene, camera, most, |clock| search.error(&search.errors(clock)));
+    let mut kinds = vec![(far, WEIGHT)];
+    if !is_part {
+        kinds.extend([(search.rated(), WEIGHT), (search.drifting(), DRIFT_WEIGHT)]);
+    }
     let kinds = kinds.into_iter().filter_map(|(clock, weight)| Some((clock?, weight)));
     let of = |(clock, weight)| Hypothesis { weight, ..with_clock(reading, period, clock) };
     kinds.map(of).collect()

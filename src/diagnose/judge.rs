@@ -178,7 +178,7 @@ fn explain_all(judged: &Judged, cameras: &[Camera]) -> Vec<(usize, Hypothesis)> 
 }
 
 /// The fault of a camera that explains why it does not fit the others. `is_part`: in a part of the recording, where a
-/// clock can only be shifted, and not by much.
+/// clock can only be shifted.
 pub(super) fn explained(
     scene: &Scene,
     camera: usize,
@@ -195,7 +195,7 @@ pub(super) fn explained(
     let (times, [least, most]) = GAIN_FREE;
     let gain = match best.weight {
         _ if is_near_clock => GAIN_IN_TIME,
-        _ if is_of_clock(&best.finding) => GAIN,
+        _ if is_of_clock(&best.finding) && !is_part => GAIN,
         weight if weight < OF_MANY => GAIN,
         _ => (times * of_best).clamp(least, most),
     };
@@ -222,10 +222,11 @@ fn explain(
         // Motion may be periodic: another shift may fit better.
         *error < EXPLAINS_ALL * usual && !is_of_clock(&one.finding)
     };
-    if is_part || found.as_ref().is_some_and(explains_all) {
+    if found.as_ref().is_some_and(explains_all) {
         return found;
     }
-    let all = found.map(|(one, _)| one).into_iter().chain(clock::clocks(scene, camera, points));
+    let clocks = clock::clocks(scene, camera, points, is_part);
+    let all = found.map(|(one, _)| one).into_iter().chain(clocks);
     best(scene, camera, points, all)
 }
 

@@ -44,11 +44,25 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     file.finish().map(drop)
 }
 
+/// How the names of temporary files begin and end.
+const TEMPORARY: [&str; 2] = [".bundlemocap-", ".part"];
+
+/// Removes temporary files that a killed process left in a folder, as far as possible. Nobody may be writing there.
+#[cfg(feature = "cli")]
+pub(crate) fn remove_parts(folder: &Path) {
+    let is_part = |name: &str| name.starts_with(TEMPORARY[0]) && name.ends_with(TEMPORARY[1]);
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        if entry.file_name().to_str().is_some_and(is_part) {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
 /// A temporary file in the folder of `path`, with the permissions of a normal new file.
 pub(crate) fn temporary(path: &Path) -> io::Result<NamedTempFile> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".bundlemocap-").suffix(".part");
+    builder.prefix(TEMPORARY[0]).suffix(TEMPORARY[1]);
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;

@@ -2,16 +2,28 @@
 
 use std::io;
 
+use crate::core::limits::OutOfRange;
 use crate::core::time::Timestamp;
 use crate::io::bus::BusError;
 use crate::io::formats::ImportError;
+use crate::io::wire::NameError;
 
 /// Why the node does not start, or stops.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum NodeError {
     /// A topic cannot be used.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// A number of the settings is out of range.
+    #[error("[node] {0}")]
+    Settings(#[from] OutOfRange),
+    /// The name of the stage or the actor is not valid.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// There is nobody to solve.
+    #[error("the node has no solver; give it one or more")]
+    NoSolver,
     /// The calibration file cannot be used.
     #[error(transparent)]
     Rig(#[from] ImportError),

@@ -14,7 +14,7 @@ use crate::core::tracker::{OTHER_SIZE, shared_body};
 use crate::metrics::{SEGMENTS, segment_lengths};
 
 /// A take's part in the body of a person.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TakeBody {
     /// The recording.
     pub recording: PathBuf,
@@ -23,6 +23,8 @@ pub struct TakeBody {
     /// Lengths of the [`SEGMENTS`] of the body that this take alone gives, mean of both sides, millimetres.
     /// `None` of a take that is too short.
     pub alone_mm: Option<[f64; SEGMENTS.len()]>,
+    /// Why it could not be used, if so.
+    pub problem: Option<String>,
     /// Whether its limbs are more than 8 % longer or shorter than in most of the other takes. It is left out if
     /// two takes or more agree.
     pub may_be_another_person: bool,
@@ -30,10 +32,11 @@ pub struct TakeBody {
 
 /// The body of a person that fits several takes together: that of their largest performer. The bones are the
 /// same in all of them, the keypoint offsets are the means of those of the takes. Each recording is read once
-/// or twice. The body of `options`, the cameras that are held out and all outputs are ignored.
+/// or twice. The body of `options`, the cameras that are held out and all outputs are ignored. A recording that
+/// cannot be solved is left out.
 ///
 /// # Errors
-/// As [`solve`](super::solve), for instance a recording without a performer; all takes are too short.
+/// As [`solve`](super::solve), of the first recording, if none can be solved; all takes are too short.
 pub fn estimate_body(
     recordings: &mut [Recording],
     options: &Options,
@@ -42,20 +45,32 @@ pub fn estimate_body(
     let options = Options { body: None, performers: Performers::default(), ..options.clone() };
     let mut takes = Vec::new();
     // Of takes that are long enough: their number, the length of their limbs (millimetres), and what they tell.
-    let mut estimates = Vec::new();
-    for recording in recordings.iter_mut() {
+    let (mut estimates, mut first_problem) = (Vec::new(), None);
+    let mut of_take = |recording: &mut Recording| {
         let (mut rig, _) = recording.chosen(&options.cameras, &[])?;
         let period = recording.frame_period(&rig)?;
         let pass = FirstPass::run(recording, &options, &mut rig, period, &mut [], observer)?;
         pass.lead(recording)?;
-        let estimate = pass.estimate();
+        Ok::<_, Error>(pass.estimate())
+    };
+    for recording in recordings.iter_mut() {
+        let estimate = match of_take(recording) {
+            Ok(estimate) => estimate,
+            Err(stopped @ Error::Stopped { .. }) => return Err(stopped),
+            Err(error) => {
+                let (recording, problem) = (recording.path().to_owned(), Some(error.to_string()));
+                takes.push(TakeBody { recording, problem, ..TakeBody::default() });
+                first_problem.get_or_insert(error);
+                continue;
+            }
+        };
         let windows = estimate.windows();
         let alone = shared_body(&[&estimate]).filter(|_| windows > 0);
         let alone_mm = alone.map(|body| segment_lengths(&body).map(|length| 1e3 * length));
         let limbs = alone_mm.map(|lengths| lengths.iter().sum::<f64>());
         estimates.extend(limbs.map(|limbs| (takes.len(), limbs, estimate)));
         let recording = recording.path().to_owned();
-        takes.push(TakeBody { recording, windows, alone_mm, may_be_another_person: false });
+        takes.push(TakeBody { recording, windows, alone_mm, ..TakeBody::default() });
     }
     for (take, limbs, _) in &estimates {
         let differs =
@@ -67,5 +82,9 @@ pub fn estimate_body(
     let are_agreed = estimates.iter().filter(|(take, ..)| agrees(*take)).count() > 1;
     let used = estimates.iter().filter(|(take, ..)| !are_agreed || agrees(*take));
     let used: Vec<_> = used.map(|(.., estimate)| &**estimate).collect();
-    Ok((shared_body(&used).ok_or(Error::ShortTakes)?, takes))
+    match (shared_body(&used), first_problem) {
+        (Some(body), _) => Ok((body, takes)),
+        (None, Some(problem)) if takes.iter().all(|take| take.problem.is_some()) => Err(problem),
+        (None, _) => Err(Error::ShortTakes),
+    }
 }

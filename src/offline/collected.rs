@@ -37,7 +37,7 @@ impl Collected {
         match output {
             Output::Pose(pose) => {
                 let Some(skeleton) = &state.skeleton else { return Ok(()) };
-                observer.pose(pose, skeleton);
+                observer.pose(&self.name, pose, skeleton);
                 self.poses.add(pose.as_ref().into(), skeleton, &mut self.comparisons)?;
             }
             Output::Event(event) => *self.events.entry(event.kind).or_default() += event.count,
@@ -74,6 +74,7 @@ impl Collected {
             version: env!("CARGO_PKG_VERSION"),
             recording: recording.path().display().to_string(),
             first_capture_time_ns: self.poses.start.map(Timestamp::ns),
+            frames_recorded: 0,
             frames,
             frames_lost: self.poses.flagged,
             windows: self.windows.count,

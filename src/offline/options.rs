@@ -17,7 +17,7 @@ pub type NewCompanion = fn() -> Box<dyn Companion>;
 
 /// Options of a solve. The defaults use all cameras, the embedded weights and the settings of
 /// `config/default.toml`, and write nothing.
-#[derive(Clone, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Options {
     /// Settings of the tracker.
     pub config: tracker::Config,
@@ -78,8 +78,8 @@ pub trait Observer {
         ControlFlow::Continue(())
     }
 
-    /// A final pose with its body. Poses are in order of capture time.
-    fn pose(&mut self, _pose: &StampedPose, _skeleton: &Skeleton) {}
+    /// A final pose of a performer, by name, with the body. The poses of a performer are in order of capture time.
+    fn pose(&mut self, _performer: &str, _pose: &StampedPose, _skeleton: &Skeleton) {}
 }
 
 impl Observer for () {}

@@ -1,6 +1,7 @@
 //! A recording to solve: its cameras, its detections, its truth.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
@@ -57,6 +58,15 @@ pub(crate) enum Item {
     TrueBody(String, Box<Skeleton>),
     /// An actor's true pose.
     TruePose(String, Box<StampedPose>),
+}
+
+impl fmt::Debug for Recording {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Recording")
+            .field("path", &self.path())
+            .field("span", &self.span)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Recording {

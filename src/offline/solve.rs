@@ -24,7 +24,7 @@ use crate::core::detections::Detections;
 use crate::core::manifold::Decoder;
 use crate::core::stage::{Names, PerformerId, Performers, Stage};
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{FramePeriod, Output, Tracker};
+use crate::core::tracker::{EventKind, FramePeriod, Output, Tracker};
 use crate::diagnose::{Check, Evidence};
 use crate::io::recording::Provenance;
 use crate::io::wire::Topics;
@@ -102,10 +102,13 @@ pub fn solve_group(
         evidence: check.as_mut().err(),
         offsets: rig.cameras.iter().map(|camera| camera.time_offset).collect(),
         starts: vec![None; rig.cameras.len()],
+        recorded: vec![(0, None); rig.cameras.len()],
         clock: recording.clock_camera(&rig),
     };
     run.stream(&mut driver, recording, (&rig, &held_out), observer)?;
-    let Run { mut collected, tracking, .. } = run;
+    let Run { mut collected, tracking, recorded, .. } = run;
+    let frames = || recorded.iter().map(|(frames, _)| *frames);
+    let (frames_recorded, all_frames) = (frames().max().unwrap_or_default(), frames().sum());
     let check = check.unwrap_or_else(|evidence| evidence.check(&judged));
     let mut bodies = driver.skeletons();
     let followed = bodies.len();
@@ -136,7 +139,7 @@ pub fn solve_group(
     for ((one, skeleton), poses) in solved.zip(summaries) {
         let states = poses.states.csv();
         let (one, summary) = one.summarise(recording, &rig, skeleton, poses, seconds);
-        let mut summary = Summary { time_offsets: offsets.clone(), ..summary };
+        let mut summary = Summary { time_offsets: offsets.clone(), frames_recorded, ..summary };
         summary.notes.extend(silent.iter().cloned().chain(recording.rig_note()));
         summary.notes.extend(notes.iter().map(|note| format!("{note}; its times are corrected")));
         summary.notes.extend(check.warnings());
@@ -148,6 +151,11 @@ pub fn solve_group(
             summary.notes.push(BODY_IS_WRONG.to_owned());
         }
         summary.notes.extend(rate_note(options.config.frame_rate_hz, period));
+        summary.notes.extend(order_note(&summary, all_frames));
+        // Of several, some enter late or leave. With another frame rate there are other numbers of poses.
+        if options.performers.limit() == 1 && options.config.frame_rate_hz == 0.0 {
+            summary.notes.extend(missing_note(&summary));
+        }
         if let Some(Outputs { folder, .. }) = &outputs {
             let csv = output::of_performer(&one.name, options.performers, "states.csv");
             output::text(&folder.file(&csv), &states)?;
@@ -186,6 +194,26 @@ fn rate_note(given: f64, period: Option<FramePeriod>) -> Option<String> {
     let measured = 1e9 / period.filter(|_| given > 0.0)?.ns;
     let is_off = (given / measured - 1.0).abs() > OFF;
     is_off.then(|| format!("the cameras have {measured:.1} frames a second, not {given:.1}"))
+}
+
+/// A note if many of all cameras' frames were too late to be used.
+fn order_note(summary: &Summary, all_frames: usize) -> Option<String> {
+    const MANY: f64 = 0.05;
+    let late = summary.events.get(EventKind::Late.name()).copied().unwrap_or_default();
+    (late as f64 > MANY * all_frames as f64).then(|| {
+        format!(
+            "{late} frames came late and were not used: is the recording sorted by capture time?"
+        )
+    })
+}
+
+/// A note if many frames have no pose.
+fn missing_note(summary: &Summary) -> Option<String> {
+    const MANY: f64 = 0.05;
+    let recorded = summary.frames_recorded;
+    let missing = recorded.saturating_sub(summary.frames);
+    let is_many = missing as f64 > MANY * recorded as f64;
+    is_many.then(|| format!("{missing} of {recorded} frames have no pose: nobody was found there"))
 }
 
 fn output_folder(path: &Path, options: &Options) -> Result<OutputFolder, Error> {
@@ -276,6 +304,8 @@ struct Run<'file> {
     offsets: Vec<Nanos>,
     /// The first capture time of each of them.
     starts: Vec<Option<Timestamp>>,
+    /// The number of frames of each of them, without repetitions, and the newest capture time.
+    recorded: Vec<(usize, Option<Timestamp>)>,
     /// The camera whose frame numbers are those of the recording.
     clock: usize,
 }
@@ -327,6 +357,10 @@ impl Run<'_> {
             }
             frame.capture = frame.capture + self.offsets[frame.camera];
             self.begin(frame);
+            let (frames, newest) = &mut self.recorded[frame.camera];
+            if Some(frame.capture) > *newest {
+                (*frames, *newest) = (*frames + 1, Some(frame.capture));
+            }
         }
         for Collected { comparisons, .. } in &mut self.collected {
             match &item {

@@ -31,6 +31,8 @@ pub struct Summary {
     pub recording: String,
     /// Capture time of the recording's first frame, nanoseconds.
     pub first_capture_time_ns: Option<i64>,
+    /// Number of frames of the camera that has most.
+    pub frames_recorded: usize,
     /// Number of poses.
     pub frames: usize,
     /// Number of flagged poses: not fitted to detections.
@@ -265,7 +267,11 @@ impl Summary {
     /// Rows of a name and a value, for people.
     pub fn rows(&self) -> Vec<(String, String)> {
         let mut rows = Rows::default();
-        rows.add("frames", with_part(self.frames, self.frames_lost, "flagged"));
+        let frames = match self.frames_recorded > self.frames {
+            true => format!("{} of {}", self.frames, self.frames_recorded),
+            false => self.frames.to_string(),
+        };
+        rows.add("frames", with_part(frames, self.frames_lost, "flagged"));
         rows.add("windows", with_part(self.windows, self.lost, "lost"));
         if self.windows_without_performer > 0 {
             let windows = self.windows_without_performer.to_string();
@@ -305,7 +311,7 @@ impl Summary {
     }
 
     /// A row for each camera whose times were shifted.
-    fn offset_rows(&self) -> impl Iterator<Item = (String, String)> {
+    pub(crate) fn offset_rows(&self) -> impl Iterator<Item = (String, String)> {
         let shifted = self.time_offsets.iter().filter(|offset| offset.applied);
         shifted.map(|found| (format!("time offset {}", found.camera), format!("{found}, applied")))
     }
@@ -397,7 +403,7 @@ impl SolveTime {
     }
 }
 
-fn with_part(all: usize, part: usize, what: &str) -> String {
+fn with_part(all: impl fmt::Display, part: usize, what: &str) -> String {
     format!("{all} ({part} {what})")
 }
 

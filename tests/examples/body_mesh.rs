@@ -13,7 +13,7 @@ use std::path::PathBuf;
 
 use bundlemocap::core::body::{Joint, Mesh, Pose, Shape, Skeleton};
 use bundlemocap::core::so3;
-use nalgebra::Vector3;
+use bundlemocap::nalgebra::Vector3;
 
 /// Joints and their rotations in a pose: an axis (x left, y up, z forwards) times an angle, degrees.
 type Turns = &'static [(Joint, [f64; 3])];

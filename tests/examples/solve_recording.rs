@@ -8,7 +8,7 @@ use bundlemocap::offline::{self, Observer, Options, Recording};
 struct Highest(f64);
 
 impl Observer for Highest {
-    fn pose(&mut self, pose: &StampedPose, _skeleton: &Skeleton) {
+    fn pose(&mut self, _performer: &str, pose: &StampedPose, _skeleton: &Skeleton) {
         self.0 = self.0.max(pose.pose.root_position.y);
     }
 }

@@ -1,7 +1,7 @@
 //! Projection, distortion, rigs and triangulation.
 
 use bundlemocap::core::camera::{
-    Camera, CameraError, Lens, Rig, View, triangulate, triangulate_robust,
+    Camera, CameraError, Lens, Rig, View, triangulate, triangulate_dropping, triangulate_robust,
 };
 use bundlemocap::core::so3;
 use nalgebra::{DMatrix, Matrix2, Matrix3, Vector2, Vector3};
@@ -266,6 +266,8 @@ fn parallel_rays_single_views_and_points_behind_are_refused() {
     assert_eq!(triangulate_robust(&rig, &views[..1], 10.0, 1), None);
     assert_eq!(triangulate_robust(&rig, &[], 10.0, 1), None);
     assert_eq!(triangulate(&rig, &[(9, Vector2::zeros(), 1.0), views[0]]), None);
+    let unknown = [(9, Vector2::zeros(), 1.0), views[0], views[1]];
+    assert_eq!(triangulate_dropping(&rig, &unknown, 5.0, 2).unwrap().1, [1, 2]);
 
     // The rays of two neighbours that diverge in front of the cameras meet behind them.
     let pixel = |dx: f64| rig.cameras[0].centre + Vector2::new(dx, 0.0);

@@ -214,7 +214,7 @@ fn shuffle(take: &mut Take, camera: usize) {
 }
 
 /// Faults, and what they are called.
-const FAULTS: [Fault; 44] = [
+const FAULTS: [Fault; 45] = [
     one("image mirrored", &["image_mirrored"], |take, c| {
         let [w, _] = size(take, c);
         take.pixels(c, |[x, y]| [w - 1.0 - x, y]);
@@ -337,6 +337,9 @@ const FAULTS: [Fault; 44] = [
             _ if i < all / 3 + 20 => None,
             _ => Some(i as f64 - 20.0),
         });
+    }),
+    one("a clock that is set 54 frames forward", &["frames_added"], |take, c| {
+        restamp(take, c, |i, all| Some(i as f64 + if i < all / 3 { 0.0 } else { 54.0 }));
     }),
     one("half of the frame rate", &["frame_rate"], |take, c| {
         restamp(take, c, |i, _| (i % 2 == 0).then_some(0.5 * i as f64));

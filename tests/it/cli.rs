@@ -1,8 +1,9 @@
 //! The built program: a round trip; every bad input gives one line of error and its own exit code.
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton, StampedPose, TrackingState};
 use bundlemocap::core::camera::Rig;
@@ -584,7 +585,12 @@ fn the_body_of_several_takes_is_that_of_each_of_them() {
     assert!(why.contains("tall.mcap has limbs of another length"), "{why}");
     assert!(!why.contains("one.mcap") && !why.contains("two.mcap"), "{why}");
     assert!(!place.path("mixed.mcap").exists());
-    place.done("body one.mcap two.mcap tall.mcap --out mixed.mcap");
+    place.write("bad.mcap", "no recording");
+    let output = place.run("body one.mcap bad.mcap two.mcap tall.mcap --out mixed.mcap");
+    let why = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(IN_PART), "{why}");
+    assert!(why.contains("warning: bad.mcap is not an MCAP recording"), "{why}");
+    place.fails(MALFORMED, "body bad.mcap --out none.mcap", &["bad.mcap is not"]);
     assert_eq!(last_body(&place.path("mixed.mcap"), None).unwrap(), bones);
     place.fails(USAGE, "body one.mcap two.mcap --out two.mcap --overwrite", &["one of the takes"]);
 }
@@ -805,6 +811,13 @@ fn a_shelf_of_takes_is_solved_once() {
     assert_eq!(output.status.code(), Some(IN_PART), "{errors}");
     assert!(said.contains("2 solved, 0 solved before, 1 failed, of 3"), "{said}");
     assert!(errors.contains("error: bad: bad.mcap"), "{errors}");
+    let output = place.run("summary takes");
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.contains("bad  not solved: bad.mcap is not an MCAP recording"), "{table}");
+    // Of one take the exit code is its own; a wrong name gets no folder.
+    assert_eq!(place.run("solve bad.mcap --out takes --jobs 1").status.code(), Some(MALFORMED));
+    assert_eq!(place.run("solve c.mcap --out takes --jobs 1").status.code(), Some(3));
+    assert!(!place.path("takes/c").exists());
     place.done("solve a.mcap --out alone");
     let poses = |folder: &str| fs::read(place.path(folder).join("poses.mcap")).unwrap();
     assert_eq!(poses("takes/a"), poses("alone"));
@@ -819,17 +832,35 @@ fn a_shelf_of_takes_is_solved_once() {
         fs::File::options().write(true).open(place.path("takes/b/manifest.json")).unwrap();
     manifest.set_len(0).unwrap();
     manifest.lock().unwrap();
-    let output = place.run("solve a.mcap b.mcap --out takes");
-    assert!(String::from_utf8_lossy(&output.stderr).contains("b: another process solves it"));
+    let part = place.path("takes/b/.bundlemocap-x.part");
+    fs::write(&part, "left by a killed process").unwrap();
+    let mut waiting = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
+        .args("solve a.mcap b.mcap --out takes".split_whitespace())
+        .current_dir(place.0.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut told = String::new();
+    let mut errors = BufReader::new(waiting.stderr.take().unwrap());
+    errors.read_line(&mut told).unwrap();
+    assert!(told.contains("b: another process solves it; this one waits"), "{told}");
     let output = place.run("summary takes");
     assert_eq!(output.status.code(), Some(IN_PART));
     let table = String::from_utf8(output.stdout).unwrap();
-    assert!(table.contains("a    60 frames, ") && table.contains("b    not solved"), "{table}");
+    assert!(table.contains("a    60 frames (") && table.contains("b    not solved: it"), "{table}");
+    assert!(part.exists());
     drop(manifest);
-    let again = place.done("solve a.mcap b.mcap --out takes");
-    assert!(again.contains("1 solved, 1 solved before"), "{again}");
+    let output = waiting.wait_with_output().unwrap();
+    let again = String::from_utf8(output.stdout).unwrap();
+    assert!(again.contains("1 solved, 1 solved before, 0 failed, of 2"), "{again}");
+    assert_eq!(output.status.code(), Some(0), "{again}");
+    assert!(!part.exists());
 
-    // Other settings, and files of somebody else.
+    // Other settings, and files of somebody else. The bus is no setting of a solve.
+    place.write("bus.toml", "[bus]\nkind = \"iceoryx2\"\n");
+    let again = place.done("solve a.mcap b.mcap --out takes --config bus.toml");
+    assert!(again.contains("0 solved, 2 solved before"), "{again}");
     let other = place.run("solve a.mcap b.mcap --out takes --no-sync");
     assert_eq!(other.status.code(), Some(IN_PART));
     let errors = String::from_utf8(other.stderr).unwrap();
@@ -846,11 +877,17 @@ fn a_shelf_of_takes_is_solved_once() {
     poses.push(0);
     place.write("takes/b/poses.mcap", poses);
     let output = place.run("solve a.mcap b.mcap --out takes --no-sync");
-    assert!(String::from_utf8_lossy(&output.stderr).contains("b: takes/b was solved from other"));
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(errors.contains("b: takes/b/poses.mcap was changed or removed after"), "{errors}");
+    fs::remove_file(place.path("takes/a/poses.bvh")).unwrap();
+    let output = place.run("solve a.mcap --out takes --jobs 1 --no-sync");
+    assert_eq!(output.status.code(), Some(USAGE));
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(errors.contains("a: takes/a/poses.bvh was changed or removed after"), "{errors}");
     place.done("solve a.mcap b.mcap --out takes --no-sync --overwrite");
     fs::remove_dir_all(place.path("takes/bad")).unwrap();
     let table = place.done("summary takes");
-    assert!(table.contains("b  90 frames, ") && table.contains("0 of"), "{table}");
+    assert!(table.contains("b  90 frames (0 flagged), ") && table.contains("0 of"), "{table}");
     let json: Value = serde_json::from_str(&place.done("summary takes --json")).unwrap();
     assert_eq!(json.pointer("/b/frames").and_then(Value::as_u64), Some(90));
     fs::remove_file(place.path("takes/a/manifest.json")).unwrap();
@@ -862,6 +899,95 @@ fn a_shelf_of_takes_is_solved_once() {
     );
     place.fails(2, "solve a.mcap takes/../a.mcap --out out", &["would be solved into one folder"]);
     place.fails(NOT_OURS, "summary alone", &["alone holds no solved takes"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_solve_that_is_stopped_leaves_no_half_files() {
+    let place = Place::new();
+    walk(&place.path("a.mcap"), 3000, |_| true);
+    walk(&place.path("b.mcap"), 60, |_| true);
+    let mut solving = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
+        .args("solve a.mcap b.mcap --out takes".split_whitespace())
+        .current_dir(place.0.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    while !place.path("takes/a/manifest.json").exists() {
+        assert_eq!(solving.try_wait().unwrap(), None);
+    }
+    std::thread::sleep(std::time::Duration::from_millis(200));
+    let pid = solving.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let output = solving.wait_with_output().unwrap();
+    let (said, errors) = (String::from_utf8(output.stdout).unwrap(), output.stderr);
+    let errors = String::from_utf8(errors).unwrap();
+    assert_eq!(output.status.code(), Some(IN_PART), "{errors}");
+    assert!(errors.contains("a: a.mcap is not solved: it was stopped"), "{errors}");
+    assert!(said.contains("0 solved, 0 solved before, 1 failed, 1 not solved yet, of 2"), "{said}");
+    let left: Vec<_> = fs::read_dir(place.path("takes/a")).unwrap().collect();
+    assert_eq!(left.len(), 1, "{left:?}");
+    let table = String::from_utf8(place.run("summary takes").stdout).unwrap();
+    assert!(table.contains("a  not solved: a.mcap is not solved: it was stopped"), "{table}");
+}
+
+#[test]
+fn frames_that_are_not_used_are_told() {
+    let place = Place::new();
+    walk(&place.path("late.mcap"), 240, |frame| frame.camera == 0 || frame.frame >= 120);
+    let output = place.run("solve late.mcap --out late");
+    let notes = String::from_utf8(output.stderr).unwrap();
+    assert!(notes.contains(" of 240 frames have no pose: nobody was found there"), "{notes}");
+    let mut frames = Vec::new();
+    walk(&place.path("walk.mcap"), 120, |frame| {
+        frames.push(frame.clone());
+        true
+    });
+    frames.sort_by_key(|frame| frame.camera);
+    let (path, rig) = (place.path("sorted.mcap"), ring_rig(4, 4.0, 1.6).unwrap());
+    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(&rig, Timestamp::default()).unwrap();
+    for frame in &frames {
+        let camera = &rig.cameras[frame.camera];
+        writer.keypoints(frame, &camera.name, [camera.width, camera.height]).unwrap();
+    }
+    writer.finish().unwrap();
+    let notes = String::from_utf8(place.run("solve sorted.mcap --out sorted").stderr).unwrap();
+    assert!(notes.contains("is the recording sorted by capture time?"), "{notes}");
+}
+
+#[test]
+fn people_become_known_in_one_take_after_the_other() {
+    let place = Place::new();
+    place.done("synth --out a.mcap --seconds 8 --cameras 5 --seed 5 --performers 2 --meet");
+    place.done("synth --out b.mcap --seconds 8 --seed 31");
+    let solve = "solve a.mcap b.mcap --out takes --jobs 2 --performers auto --names ada,ben,cleo";
+    let output = place.run(&format!("{solve} --bodies bodies"));
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(errors.contains("one take is solved after the other"), "{errors}");
+    for file in ["a/poses.ada.bvh", "a/poses.ben.bvh", "b/poses.cleo.bvh"] {
+        assert!(place.path("takes").join(file).exists(), "{file}: {errors}");
+    }
+    let again = place.done(&format!("{solve} --bodies bodies"));
+    assert!(again.contains("0 solved, 2 solved before"), "{again}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn output_that_cannot_be_written_is_an_error() {
+    let place = Place::new();
+    walk(&place.path("a.mcap"), 60, |_| true);
+    let full = fs::File::options().write(true).open("/dev/full").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
+        .args(["info", "a.mcap", "--json"])
+        .current_dir(place.0.path())
+        .stdout(full)
+        .output()
+        .unwrap();
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{errors}");
+    assert!(errors.contains("standard output cannot be written: No space left"), "{errors}");
 }
 
 #[test]

@@ -1227,7 +1227,7 @@ fn what_is_guessed_or_missing_is_said() {
 struct Poses(Vec<StampedPose>);
 
 impl Observer for Poses {
-    fn pose(&mut self, pose: &StampedPose, _: &Skeleton) {
+    fn pose(&mut self, _: &str, pose: &StampedPose, _: &Skeleton) {
         self.0.push(pose.clone());
     }
 }

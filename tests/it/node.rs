@@ -62,8 +62,14 @@ fn cameras() -> Rig {
 }
 
 fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
+    start_node_with(bus, config, 1)
+}
+
+fn start_node_with(bus: &Memory, config: &Config, solvers: usize) -> Result<Running, NodeError> {
     let track = tracker::Config::default();
     let decoder = Decoder::embedded().unwrap();
+    let solver = || Solver::new(decoder.clone(), track);
+    let solvers = std::iter::repeat_with(solver).take(solvers).collect();
     let settings = Settings {
         tracker: track,
         stage: stage::Config::default(),
@@ -78,14 +84,19 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
     let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
     let now = WallClock::start().now();
     let presence = Presence::announce(Arc::new(bus.clone()), topics, false, now)?.alone()?;
-    Node::start(
-        Arc::new(bus.clone()),
-        presence,
-        core,
-        vec![Solver::new(decoder, track)],
-        config,
-        None,
-    )
+    Node::start(Arc::new(bus.clone()), presence, core, solvers, config, None)
+}
+
+#[test]
+fn a_node_that_cannot_work_does_not_start() {
+    let bus = Memory::new();
+    let start = |config: &Config, solvers| start_node_with(&bus, config, solvers).err();
+    let fault = start(&Config::default(), 0);
+    assert!(matches!(fault, Some(NodeError::NoSolver)), "{fault:?}");
+    for latency_ms in [f64::NAN, -100.0, 1e15] {
+        let fault = start(&Config { latency_ms, ..Config::default() }, 1);
+        assert!(matches!(fault, Some(NodeError::Settings(_))), "{fault:?}");
+    }
 }
 
 impl Studio {

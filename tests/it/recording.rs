@@ -147,6 +147,23 @@ fn an_unfinished_recording_leaves_no_file() {
 }
 
 #[test]
+fn detections_that_no_reader_takes_are_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("out.mcap");
+    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+    let right = frame(0, 0);
+    writer.keypoints(&right, "left", [640, 480]).unwrap();
+    let mut wrong = right.clone();
+    wrong.people[0].points.iter_mut().flatten().next().unwrap().pixel.y = f64::NAN;
+    let error = writer.keypoints(&wrong, "left", [640, 480]).unwrap_err().to_string();
+    assert!(error.contains("camera left, frame ") && error.contains("no finite pixel"), "{error}");
+    let mut wrong = right;
+    wrong.people[0].points.pop();
+    let error = writer.keypoints(&wrong, "left", [640, 480]).unwrap_err().to_string();
+    assert!(error.contains("a person has 16 points, coco_17 has 17"), "{error}");
+}
+
+#[test]
 fn a_truncated_file_gives_its_first_messages_and_the_place_of_the_cut() {
     let (folder, bytes) = recording();
     let (whole, _) = read_bytes(&folder, &bytes);

@@ -15,7 +15,7 @@ use bundlemocap::core::manifold::{
 };
 use bundlemocap::core::optimise::OptimiserKind;
 use bundlemocap::core::so3;
-use bundlemocap::core::time::Nanos;
+use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{
     Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Tracker, Verdict,
     WindowReport, run_to_end,
@@ -404,6 +404,35 @@ fn a_wrong_time_stamp_does_not_break_the_stream() {
     assert_eq!(run.events[&EventKind::Unusable], 1);
     assert_eq!(run.poses.len(), 61);
     assert!(run.poses.iter().all(|pose| pose.state == TrackingState::Tracking));
+}
+
+#[test]
+fn frames_with_flaws_are_counted_and_do_not_break_the_stream() {
+    let mut frames = stream(61);
+    let clean = run(config(), frames.clone());
+    for (at, flaw) in (100..).step_by(9).zip(0..4) {
+        let frame = &mut frames[at];
+        let points = &mut frame.people[0].points;
+        let first = points.iter_mut().flatten().next().unwrap();
+        match flaw {
+            0 => points.truncate(10),
+            1 => first.confidence = f64::NAN,
+            2 => first.pixel.x = f64::INFINITY,
+            _ => frame.capture = Timestamp::from_ns(i64::MAX),
+        }
+    }
+    let found = run(config(), frames);
+    assert_eq!(found.events[&EventKind::Unusable], 4);
+    assert_eq!(found.poses.len(), clean.poses.len());
+    // A detector's score above 1 counts as 1.
+    let scaled = |by: f64| {
+        let mut frames = stream(61);
+        let people = frames.iter_mut().flat_map(|frame| &mut frame.people);
+        let points = people.flat_map(|person| &mut person.points).flatten();
+        points.for_each(|point| point.confidence = by);
+        run(config(), frames).poses
+    };
+    assert_eq!(scaled(1.0), scaled(70.0));
 }
 
 #[test]

@@ -332,5 +332,5 @@ fn normal_step(
 }
 
 fn error_px(rig: &Rig, (camera, pixel, _): &View, point: &Vector3<f64>) -> Option<f64> {
-    rig.cameras[*camera].project(point).map(|projected| (projected - pixel).norm())
+    rig.cameras.get(*camera)?.project(point).map(|projected| (projected - pixel).norm())
 }

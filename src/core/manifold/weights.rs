@@ -19,6 +19,7 @@ const VERSION: &str = "1";
 
 /// Why a weights file cannot be used.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum WeightsError {
     /// Not a safetensors file.
     #[error("the weights are not a safetensors file: {0}")]

@@ -121,6 +121,9 @@ impl Default for Config {
     }
 }
 
+/// A problem has two batches of frames.
+pub(super) const MOST_THREADS: usize = 2;
+
 /// The body is estimated with all keyframes of a window at once: the time grows with the cube of their number.
 const MOST_KEYFRAMES: f64 = 100.0;
 
@@ -184,7 +187,7 @@ impl Config {
             Limit::up_to_1000("fresh_fit_windows", self.fresh_fit_windows),
             Limit::up_to_1000("catch_up_iterations", self.catch_up_iterations),
             Limit::one_to_1000("grace_windows", self.grace_windows),
-            Limit("threads", self.threads as f64, 1.0..=2.0, "1 or 2"),
+            Limit("threads", self.threads as f64, 1.0..=MOST_THREADS as f64, "1 or 2"),
             Limit::from_0("reference_residual_px", self.reference_residual_px),
             Limit::from_0("relative_scale", self.relative_scale),
             Limit("min_confidence", self.min_confidence, 0.0..=1.0, "0 to 1"),

@@ -96,15 +96,22 @@ impl Intake {
         }
     }
 
-    /// Receives a frame: checks its time, and adds it to the buffer. `now` is the capture clock, if
+    /// Receives a frame: checks it and its time, and adds it to the buffer. `now` is the capture clock, if
     /// there is one; live, frames that came up to `grace` after it were worth waiting for. Returns what
     /// is to be reported.
     pub(in crate::core) fn receive(
         &mut self,
-        frame: Detections,
+        mut frame: Detections,
         now: Option<Timestamp>,
         grace: Option<Nanos>,
     ) -> Vec<Event> {
+        if let Some(flaw) = frame.flaw() {
+            self.came_unused(frame.camera, frame.frame);
+            let detail = format!("frame {}: {flaw}", frame.frame);
+            return vec![of_frame(&frame, EventKind::Unusable, detail)];
+        }
+        let points = frame.people.iter_mut().flat_map(|person| &mut person.points);
+        points.flatten().for_each(|point| point.confidence = point.confidence.min(1.0));
         let (frames, stray) = self.screen(frame);
         let mut events: Vec<Event> = stray.into_iter().collect();
         for frame in frames {

@@ -194,6 +194,7 @@ pub fn delivery(topic: &str) -> Delivery {
 
 /// Why a call on the bus failed.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum BusError {
     /// A name that is not a topic or not a pattern.
     #[error("{name:?} is not a {what}: {reason}")]

@@ -14,6 +14,7 @@ use crate::core::detections::Keypoint;
 /// Why a file of marker trajectories cannot be used.
 #[derive(Debug, Error)]
 #[allow(missing_docs)]
+#[non_exhaustive]
 pub enum TrajectoryError {
     #[error("it has {one} and {other}, of two subjects; give a file of one subject")]
     Subjects { one: String, other: String },

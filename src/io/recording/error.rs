@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 /// Why a recording cannot be read or written.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RecordError {
     /// The file cannot be opened or read.
     #[error("cannot read {}: {source}", path.display())]

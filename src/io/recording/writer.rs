@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::fmt;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
@@ -91,12 +92,19 @@ pub struct Writer {
     mcap: mcap::Writer<BufWriter<Target>>,
 }
 
+impl fmt::Debug for Writer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Writer").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
 impl Writer {
     /// Most channels of a recording: topics, times schemas of a topic. MCAP allows 65,535; so many
     /// are a fault of a publisher.
     pub const MOST_TOPICS: usize = 16_384;
 
-    /// Starts a recording for `path`.
+    /// Starts a recording for `path`, and replaces a file that is there. `solve` expects the frames in order of capture
+    /// time, give or take half a second: do not write one camera after the other.
     ///
     /// # Errors
     /// The folder is missing or not writable.
@@ -164,13 +172,18 @@ impl Writer {
     /// height.
     ///
     /// # Errors
-    /// As [`Writer::write`].
+    /// As [`Writer::write`]; points that do not fit their format, or are not finite.
     pub fn keypoints(
         &mut self,
         detections: &Detections,
         camera: &str,
         image_size: [u32; 2],
     ) -> Result<(), RecordError> {
+        if let Some(flaw) = detections.flaw() {
+            let flaw = format!("camera {camera}, frame {}: {flaw}", detections.frame);
+            let flaw = io::Error::new(io::ErrorKind::InvalidInput, flaw);
+            return Err(RecordError::write(&self.path)(flaw));
+        }
         let frame = KeypointFrame::from_core(detections, camera, image_size);
         self.write(&self.topics.keypoints(camera), detections.capture, &frame)
     }

@@ -2,13 +2,11 @@
 
 use nalgebra::Point2;
 
-use std::ops::RangeInclusive;
-
 use super::check::{Field, field};
 use super::{DecodeError, DetectedPerson, KeypointFrame, KeypointSet};
 use crate::core::detections::{Detection, Detections, KeypointFormat, Person};
 use crate::core::stage::{PerformerFrames, PerformerId};
-use crate::core::time::{Nanos, Timestamp};
+use crate::core::time::{Nanos, TIMES_NS, Timestamp};
 
 /// Frames are not complete further than this after the last one.
 const AHEAD: Nanos = Nanos::SECOND;
@@ -17,8 +15,6 @@ const PERFORMER: Field = field("KeypointSet", "performer");
 const FRAMES: Field = field("KeypointSet", "frames");
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
-/// Valid times: the years 1684 to 2255 by the Unix epoch.
-pub const TIMES_NS: RangeInclusive<i64> = -9_000_000_000_000_000_000..=9_000_000_000_000_000_000;
 
 impl KeypointFrame {
     /// The detections of `camera` (its name) in an image of `image_size` pixels, width and height.
@@ -38,8 +34,8 @@ impl KeypointFrame {
     /// The detections; `index_of` maps a camera's name to its index in the rig.
     ///
     /// # Errors
-    /// An unknown camera or format, a capture time before the epoch or too large, points that do
-    /// not fit the format, numbers that are not finite, negative confidences.
+    /// An unknown camera or format, a capture time beyond [`TIMES_NS`], points that do not
+    /// fit the format, numbers that are not finite, negative confidences.
     pub fn to_core(
         &self,
         index_of: impl FnOnce(&str) -> Option<usize>,

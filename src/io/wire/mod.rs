@@ -18,8 +18,8 @@ mod schema;
 mod skeleton;
 mod topic;
 
+pub use crate::core::time::TIMES_NS;
 pub use generated::*;
-pub use keypoints::TIMES_NS;
 pub use pose::LiveStamp;
 pub use schema::{
     ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,
@@ -30,6 +30,7 @@ pub use topic::{
 
 /// Why a message cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum DecodeError {
     /// The bytes are not Protocol Buffers, or are incomplete.
     #[error("{message}: not a message of this schema: {reason}")]

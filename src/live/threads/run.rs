@@ -1,6 +1,7 @@
 //! The node with its threads, from start to stop.
 
 use std::collections::BTreeSet;
+use std::fmt;
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 use std::thread::{Builder, JoinHandle};
@@ -107,7 +108,11 @@ impl Node {
         config: &Config,
         solver_core: Option<SolverCore>,
     ) -> Result<Running, NodeError> {
-        let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
+        config.validate()?;
+        if solvers.is_empty() {
+            return Err(NodeError::NoSolver);
+        }
+        let topics = Topics::new(&config.stage, &config.actor)?;
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
         // All performers of a solver have one queue.
         let most_of_others = if config.solver { MOST_OF_ALL } else { MOST_A_SECOND };
@@ -198,6 +203,12 @@ impl Node {
             *token.lock().unwrap_or_else(PoisonError::into_inner) = Some(announced);
         }
         Ok(running)
+    }
+}
+
+impl fmt::Debug for Running {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Running").field("topics", &self.topics).finish_non_exhaustive()
     }
 }
 

@@ -8,10 +8,11 @@ mod keyframes;
 mod known;
 mod window;
 
+use std::fmt;
 use std::sync::Arc;
 
 use super::association::follow;
-use super::config::Config;
+use super::config::{Config, MOST_THREADS};
 use super::job::{Job, Outcome, Placed, Solution, Task};
 use super::spin_pool::SpinPool;
 use crate::core::body::{BodyPoint, Pose, Skeleton, fitted_points};
@@ -52,6 +53,12 @@ pub struct Solver {
     pool: Option<SpinPool>,
 }
 
+impl fmt::Debug for Solver {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Solver").field("config", &self.config).finish_non_exhaustive()
+    }
+}
+
 impl Solver {
     /// A solver with a manifold. Starts the threads in `config`; if the system refuses them, it
     /// solves on the calling thread.
@@ -59,9 +66,11 @@ impl Solver {
         let optimiser = config.optimiser.optimiser(config.change_threshold);
         let change = config.change_threshold.min(ACQUISITION_CHANGE);
         let acquisition_optimiser = config.optimiser.optimiser(change);
-        let pool = (config.threads > 1).then(|| SpinPool::of(config.threads)).and_then(|pool| {
-            pool.inspect_err(|error| tracing::warn!("solving on one thread: {error}")).ok()
-        });
+        let pool = (config.threads > 1)
+            .then(|| SpinPool::of(config.threads.min(MOST_THREADS)))
+            .and_then(|pool| {
+                pool.inspect_err(|error| tracing::warn!("solving on one thread: {error}")).ok()
+            });
         let work = match pool {
             Some(_) => Workspace::in_parallel(),
             None => Workspace::default(),
