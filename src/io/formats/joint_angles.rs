@@ -182,19 +182,24 @@ pub fn write_mot(
 /// Writes a line for each pose: `time_s`, `state`, then the coordinates: degrees, and metres for the pelvis' place.
 ///
 /// # Errors
-/// The disk is full.
+/// The disk is full, or a pose has a value that is not finite.
 pub fn write_angles(
     path: &Path,
     poses: impl IntoIterator<Item = TimedPose>,
 ) -> Result<(), ExportError> {
     let mut angles = Angles::new();
     let header = ["time_s", "state"].into_iter().chain(NAMES).map(str::to_owned).collect();
-    let row = |TimedPose { time, state, pose, .. }: TimedPose| {
+    let row = |(frame, TimedPose { time, state, pose, .. }): (usize, TimedPose)| {
         let begin = [format!("{time:.6}"), state.name().to_owned()];
-        let numbers = angles.of(&pose).into_iter().map(|number| format!("{number:.6}"));
-        begin.into_iter().chain(numbers).collect()
+        let numbers = angles.of(&pose);
+        if !numbers.iter().all(|number| number.is_finite()) {
+            return Err(ExportError::NotFinite { path: path.into(), frame });
+        }
+        Ok(begin.into_iter().chain(numbers.iter().map(|number| format!("{number:.6}"))).collect())
     };
-    write_table(path, header, poses.into_iter().map(row))
+    let rows: Vec<Vec<String>> =
+        poses.into_iter().enumerate().map(row).collect::<Result<_, _>>()?;
+    write_table(path, header, rows.into_iter())
 }
 
 #[cfg(test)]
@@ -202,6 +207,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
+    use crate::core::body::TrackingState;
 
     /// The named coordinates of a pose whose joints are turned about our axes, degrees.
     fn found(turns: &[(Joint, [f64; 3])], names: &[&str]) -> Vec<f64> {
@@ -216,6 +222,20 @@ mod tests {
         let all = Angles::new().of(&pose);
         let at = |name: &&str| all[NAMES.iter().position(|own| own == name).unwrap()];
         names.iter().map(at).map(|number| (number * 1e6).round() / 1e6).collect()
+    }
+
+    #[test]
+    fn poses_that_are_not_finite_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("angles.csv");
+        let at = |x: f64| {
+            let pose = Pose { root_position: [x, 1.0, 0.0].into(), ..Pose::rest() };
+            let (state, deviations) = (TrackingState::Tracking, None);
+            TimedPose { time: 0.0, state, pose, deviations }
+        };
+        write_angles(&path, [at(0.0)]).unwrap();
+        let found = write_angles(&path, [at(0.0), at(f64::NAN)]);
+        assert!(matches!(found, Err(ExportError::NotFinite { frame: 1, .. })), "{found:?}");
     }
 
     #[test]
