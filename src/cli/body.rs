@@ -6,7 +6,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, json};
 use super::overwrite::{Overwrite, check_ending, is_same_file};
 use super::solve::{Progress, decoder, lost};
 use super::terminal::{complain, say, table};
@@ -30,7 +30,8 @@ same size is not noticed.
 
 The file is only for --body. To recognise people, the node needs other files: see [stage] bodies.
 
-Exit code 6: a take is damaged, or could not be used. Exit code 15: with --strict, a take may show another person.
+Exit code 6: a take is damaged, or could not be used. Exit code 15: with --strict, a take may show
+another person.
 
 Examples:
   bundlemocap body takes/lead-*.mcap --out lead.mcap
@@ -91,17 +92,16 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(unread.swap_remove(0).1);
     }
     let messages = recordings.iter().map(Recording::messages).sum();
-    let mut bar = Progress::over(messages);
-    let (body, mut takes) = estimate_body(&mut recordings, &options, &mut bar)?;
-    bar.bar.finish_and_clear();
+    let mut progress = Progress::over(messages);
+    let (body, mut takes) = estimate_body(&mut recordings, &options, &mut progress)?;
+    progress.bar.finish_and_clear();
     takes.extend(unread.into_iter().map(|(file, failure)| {
         let (recording, problem) = (file.clone(), Some(failure.line()));
         TakeBody { recording, problem, ..TakeBody::default() }
     }));
     let body_mm = segment_lengths(&body).map(|length| 1e3 * length);
     if arguments.json {
-        let text = serde_json::to_string_pretty(&json!({ "body_mm": body_mm, "takes": takes }));
-        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+        say(&json(&json!({ "body_mm": body_mm, "takes": takes }))?);
     } else {
         let alone = |take: &TakeBody| {
             let without = if take.problem.is_some() { "not used" } else { "too short" };

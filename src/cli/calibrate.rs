@@ -75,9 +75,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     let mut recording = Recording::open(&arguments.file)?;
     let options = Options { config: config.tracker, ..Options::default() };
-    let mut bar = Progress::over(recording.messages());
-    let found = check_cameras(&mut recording, &options, !arguments.time_only, &mut bar)?;
-    bar.bar.finish_and_clear();
+    let mut progress = Progress::over(recording.messages());
+    let found = check_cameras(&mut recording, &options, !arguments.time_only, &mut progress)?;
+    progress.bar.finish_and_clear();
     let told = recording.silent_note().into_iter().chain(recording.rig_note());
     told.for_each(|note| complain("note", &note));
     for note in &found.notes {

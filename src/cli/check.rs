@@ -6,7 +6,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, json};
 use super::rig::ConventionArguments;
 use super::solve::{Progress, lost};
 use super::terminal::{complain, say};
@@ -56,9 +56,9 @@ pub(super) struct Arguments {
 /// Judges a recording. The exit code says whether all of it could be read.
 fn judge(file: &Path, rig: Option<&Rig>, arguments: &Arguments) -> Result<(Check, Exit), Failure> {
     let mut recording = arguments.convention.open(file, rig)?;
-    let mut bar = Progress::over(recording.messages());
-    let check = offline::check(&mut recording, &mut bar)?;
-    bar.bar.finish_and_clear();
+    let mut progress = Progress::over(recording.messages());
+    let check = offline::check(&mut recording, &mut progress)?;
+    progress.bar.finish_and_clear();
     recording.rig_note().iter().for_each(|note| complain("note", note));
     Ok((check, lost(&recording)))
 }
@@ -92,8 +92,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         found.push(json!({ "recording": file.display().to_string(), "check": check }));
     }
     if arguments.json {
-        let text = serde_json::to_string_pretty(&found);
-        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+        say(&json(&found)?);
     }
     if wrong.is_empty() || !arguments.strict {
         return Ok(exit);

@@ -1,6 +1,8 @@
-//! Exit codes, and errors in one line.
+//! Exit codes, errors in one line, and JSON.
 
 use std::path::Path;
+
+use serde::Serialize;
 
 use crate::cli::tools::take::TakeError;
 use crate::config::ConfigError;
@@ -42,13 +44,13 @@ pub(crate) enum Exit {
 pub(crate) const EXIT_CODES: &str = "\
 Exit codes:
    0  done
-   1  unexpected: the output cannot be written, or a bug
+   1  unexpected: the output cannot be written, `solve` was stopped, or a bug
    2  wrong arguments
    3  an input is missing or cannot be read
    4  malformed input
    5  nobody found: no performer in two cameras
    6  partly done: windows that fit badly, a damaged recording, a replay up to lost inputs;
-      one of several takes of `solve` or `summary` is not solved, or in part;
+      one of several takes of `solve` or `summary` is not solved, or in part; `body` left out a take;
       `record` lost messages or the disk is full; to `take` a node or recorder did not
       answer or refused; no poses came for `retarget --out`
    7  no detections in the folder
@@ -79,6 +81,12 @@ pub(crate) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
     }
     let message = format!("--fps is {fps}, but must be 1 to 1000, such as 60");
     Err(Failure::new(Exit::Usage, message))
+}
+
+/// JSON for people and programs.
+pub(crate) fn json(value: &impl Serialize) -> Result<String, Failure> {
+    let text = serde_json::to_string_pretty(value);
+    text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))
 }
 
 /// Why a command failed.

@@ -498,9 +498,9 @@ impl Imported {
 /// Judges the cameras of a recording.
 fn check(path: &Path) -> Result<Check, String> {
     let checked = Recording::open(path).and_then(|mut recording| {
-        let mut bar = Progress::over(recording.messages());
-        let check = offline::check(&mut recording, &mut bar);
-        bar.bar.finish_and_clear();
+        let mut progress = Progress::over(recording.messages());
+        let check = offline::check(&mut recording, &mut progress);
+        progress.bar.finish_and_clear();
         check
     });
     checked.map_err(|error| error.to_string())

@@ -6,7 +6,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, json};
 use super::terminal::{say, table};
 use crate::io::recording::{Info, METADATA, scan, summary};
 
@@ -36,8 +36,7 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let info = if arguments.check { scan(&arguments.file) } else { summary(&arguments.file) }?;
     if arguments.json {
-        let text = serde_json::to_string_pretty(&object(&info));
-        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+        say(&json(&object(&info))?);
     } else {
         say(&table(&rows(&info)));
     }

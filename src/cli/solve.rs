@@ -11,7 +11,7 @@ use indicatif::ProgressBar;
 
 use super::Ended;
 use super::clock::{ATTENTION, Stop};
-use super::failure::{Exit, Failure, frame_rate_option, ratio};
+use super::failure::{Exit, Failure, frame_rate_option, json, ratio};
 use super::overwrite::is_no_input;
 use super::rig::{ConventionArguments, read as read_rig};
 use super::settings::changed;
@@ -177,7 +177,7 @@ enum OptimiserName {
     Lbfgs,
 }
 
-/// A progress bar over the messages of the recording. A stop request ends the solve: no half files stay.
+/// A progress bar over the messages of the recording. A stop request ends the solve.
 pub(super) struct Progress {
     pub(super) bar: ProgressBar,
     pub(super) stop: Stop,
@@ -263,13 +263,10 @@ impl Solved {
 
     /// What `--json` prints.
     pub(super) fn json(&self) -> Result<String, Failure> {
-        let text = match self.group.performers.first() {
-            Some(only) if self.performers.limit() == 1 => {
-                serde_json::to_string_pretty(&only.summary)
-            }
-            _ => serde_json::to_string_pretty(&self.group),
-        };
-        text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))
+        match self.group.performers.first() {
+            Some(only) if self.performers.limit() == 1 => json(&only.summary),
+            _ => json(&self.group),
+        }
     }
 }
 
@@ -331,7 +328,7 @@ impl Prepared {
 
     /// All that changes a solve beside its files.
     pub(super) fn settings(&self, arguments: &Arguments) -> serde_json::Value {
-        // Threads, node and bus do not change the result.
+        // Threads, and the settings of node and bus, do not change the result.
         let Config { stage, mut tracker, timecode, .. } = self.config.clone();
         tracker.threads = Config::default().tracker.threads;
         let config = Config { stage, tracker, timecode, ..Config::default() };
@@ -415,7 +412,8 @@ impl Prepared {
         Ok(Solved::of(file, group, performers))
     }
 
-    /// Waits until no other solve makes people known in a folder, until the file is dropped.
+    /// Waits until no other solve makes people known in a folder. It is locked until the file is dropped. After a stop
+    /// request it does not wait, and the solve ends.
     fn lock(&self, folder: &Path) -> Result<File, Failure> {
         let lock = || {
             std::fs::create_dir_all(folder)?;
@@ -444,7 +442,8 @@ impl Prepared {
     }
 }
 
-/// Locks a file until it is dropped; false if another process has it. With `until`, waits for that, at most until the stop.
+/// Locks a file until it is dropped; false if another process has locked it. With `until`, waits for that process, at most
+/// until the stop request.
 pub(super) fn locked(file: &File, until: Option<&Stop>) -> std::io::Result<bool> {
     loop {
         match file.try_lock() {

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, json};
 use super::solve::{Arguments, Prepared, Solved, alone, locked};
 use super::terminal::{complain, progress, say, table};
 use crate::core::fnv::{fnv1a, fnv1a_after};
@@ -107,31 +107,31 @@ fn each(arguments: &Arguments, prepared: &Prepared) -> Ended {
         bar.inc(u64::from(!matches!(outcome, Outcome::Busy)));
         outcome
     };
-    // Who becomes known in one take is known in those after it.
+    // People who become known in one take are recognised in the next.
     let is_in_order = prepared.makes_known();
     if is_in_order && arguments.jobs.is_some_and(|jobs| jobs > 1) {
-        complain("note", "people become known by name: one take is solved after the other");
+        complain("note", "with names and known bodies, one take is solved after the other");
     }
     let jobs = if is_in_order { 1 } else { usize::from(arguments.jobs.unwrap_or(1)) };
-    let solve_all = |numbers: &[usize], waits: bool| {
+    let solve_all = |indices: &[usize], waits: bool| {
         let (next, ended) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
         let work = || {
             while !prepared.stop.is_set()
-                && let Some(&number) = numbers.get(next.fetch_add(1, Ordering::Relaxed))
+                && let Some(&index) = indices.get(next.fetch_add(1, Ordering::Relaxed))
             {
-                let outcome = (number, solve(&takes[number], waits));
+                let outcome = (index, solve(&takes[index], waits));
                 ended.lock().unwrap_or_else(PoisonError::into_inner).push(outcome);
             }
         };
         std::thread::scope(|scope| {
-            (0..jobs.min(numbers.len())).for_each(|_| drop(scope.spawn(work)));
+            (0..jobs.min(indices.len())).for_each(|_| drop(scope.spawn(work)));
         });
         ended.into_inner().unwrap_or_else(PoisonError::into_inner)
     };
     let mut ended = solve_all(&(0..takes.len()).collect::<Vec<_>>(), false);
     // Another process may be at them, or may have been stopped.
     let busy = ended.extract_if(.., |(_, outcome)| matches!(outcome, Outcome::Busy));
-    let busy: Vec<usize> = busy.map(|(number, _)| number).collect();
+    let busy: Vec<usize> = busy.map(|(index, _)| index).collect();
     ended.extend(solve_all(&busy, true));
     bar.finish_and_clear();
     let ended: Vec<Outcome> = ended.into_iter().map(|(_, outcome)| outcome).collect();
@@ -203,7 +203,8 @@ struct Shelf<'a> {
 }
 
 impl Shelf<'_> {
-    /// Solves a take if it is not solved, and nobody else is at it. `waits`: until then.
+    /// Solves a take if it is not solved. If another process is at it: with `waits`, after that; else it is
+    /// [`Outcome::Busy`].
     fn solve(&self, take: &Take, waits: bool) -> Result<Outcome, Failure> {
         let overwrite = self.arguments.overwrite;
         let path = take.out.join(MANIFEST);
@@ -239,8 +240,8 @@ impl Shelf<'_> {
         }
         let version = env!("CARGO_PKG_VERSION").into();
         let origin = Origin { version, inputs, settings: self.prepared.settings(self.arguments) };
-        // What is not as it should be, if it is another solve's.
-        let other = match &before {
+        // Why it can only be solved with --overwrite.
+        let conflict = match &before {
             Some(before) if before.origin == origin => {
                 let is_changed = |(name, written): &(&String, &Fingerprint)| {
                     fingerprint(&take.out.join(name)).ok().as_ref() != Some(*written)
@@ -252,15 +253,15 @@ impl Shelf<'_> {
                 let changed = take.out.join(changed);
                 Some(format!("{} was changed or removed after the solve", changed.display()))
             }
-            // Empty: it was interrupted.
+            // Without a text it was interrupted.
             _ if text.is_empty() || serde_json::from_str::<NotSolved>(&text).is_ok() => None,
             _ => {
                 let out = take.out.display();
                 Some(format!("{out} was solved from other inputs, settings or by another version"))
             }
         };
-        if let Some(other) = other.filter(|_| !overwrite) {
-            return Err(Failure::new(Exit::Usage, format!("{other}; use --overwrite")));
+        if let Some(conflict) = conflict.filter(|_| !overwrite) {
+            return Err(Failure::new(Exit::Usage, format!("{conflict}; use --overwrite")));
         }
         file.set_len(0).map_err(unwritten)?;
         remove_parts(&take.out);
@@ -298,11 +299,6 @@ impl Shelf<'_> {
     }
 }
 
-fn json(value: &impl Serialize) -> Result<String, Failure> {
-    let text = serde_json::to_string_pretty(value);
-    text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))
-}
-
 fn unread(path: &Path, error: &std::io::Error) -> Failure {
     Failure::new(Exit::Unreadable, format!("{}: cannot be read ({error})", path.display()))
 }
@@ -326,7 +322,7 @@ fn fingerprint(path: &Path) -> Result<Fingerprint, Failure> {
 /// Print a table of the takes that `bundlemocap solve` of several recordings has solved.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-A take that is not solved has the reason.
+Of a take that is not solved it shows why.
 
 Exit code 6: a take is not solved, or in part.
 
@@ -383,7 +379,7 @@ pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
 fn not_solved(text: &str) -> String {
     match serde_json::from_str::<NotSolved>(text) {
         Ok(NotSolved { error }) => error,
-        Err(_) => "it was interrupted, is being solved, was solved by another version, or lacks its summary".to_owned(),
+        Err(_) => "it was interrupted, is being solved, was solved by another version, or its summary.json is missing".to_owned(),
     }
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Prints to standard output.
+/// Prints to standard output. [`unwritten`] tells whether it failed.
 pub(crate) fn say(text: &str) {
     let _ = tell(text);
 }

@@ -14,7 +14,7 @@ const LEAST_PART: usize = 6;
 const TIMES_WORSE: f64 = 2.0;
 /// A fault of a part lowers the mean error to this part of what a fault of the whole recording leaves.
 const LOWERED: f64 = 0.7;
-/// The same beside a wrong frame rate: where motion is periodic, one may look much like a step of the clock.
+/// The same if that is a wrong frame rate: in periodic motion it looks much like a step of the clock.
 const LOWERED_OF_RATE: f64 = 0.9;
 
 /// A recording in two parts; one of them is bad.

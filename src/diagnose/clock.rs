@@ -10,8 +10,8 @@ use crate::core::time::{Nanos, Timestamp};
 /// Shifts up to this number of frames are tried one by one, larger ones every [`STRIDE`] frames first.
 const NEAR: i64 = 30;
 const STRIDE: i64 = 3;
-/// In a part of a recording, shifts are tried up to this number of frames: motion may be periodic.
-const MOST_IN_PART: i64 = 300;
+/// In a part of a recording, and with two cameras, shifts are tried up to this number of frames.
+pub(super) const MOST_IF_UNSURE: i64 = 300;
 /// A camera with another frame rate is late by so many frames at most, at the start.
 const NEAR_AT_START: i64 = 6;
 /// Usual frame rates, Hz.
@@ -56,7 +56,7 @@ pub(super) fn clocks(
     let now = scene.errors(camera, reading, points);
     let period = scene.periods[camera];
     let search = Search { scene, camera, points, now, period, first, last };
-    let most = if is_part { MOST_IN_PART } else { i64::MAX };
+    let most = if is_part { MOST_IF_UNSURE } else { i64::MAX };
     let far = far(scene, camera, most, |clock| search.error(&search.errors(clock)));
     let mut kinds = vec![(far, WEIGHT)];
     if !is_part {

@@ -40,8 +40,7 @@ const STARTS: usize = 3;
 const MOST_PERMUTED: usize = 16;
 /// Of two cameras, the faults that are listed: the best ones, up to this many times the least error.
 const MOST_OPTIONS: usize = 3;
-/// Frames by which the clocks of two cameras differ at most. Shifts that differ by at most [`ONE_SHIFT`] are one.
-const MOST_OF_TWO: i64 = 300;
+/// Shifts that differ by at most so many frames are one.
 const ONE_SHIFT: f64 = 3.0;
 const ALIKE: f64 = 1.5;
 /// Two frame periods are equal if their natural logarithms differ by less.
@@ -350,7 +349,7 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera], two: [usize; 2]) -> Option<Ju
             let tried = scene.with_one(second, Reading { clock, ..reading.clone() });
             error(&tried).map(|(error, ..)| error).filter(|_| both(&tried) >= least)
         };
-        let far = clock::far(scene, second, MOST_OF_TWO, error);
+        let far = clock::far(scene, second, clock::MOST_IF_UNSURE, error);
         let far = far.map(|clock| clock::with_clock(reading, scene.periods[second], clock));
         options.extend(far.and_then(|far| alternative(second, far)));
     }

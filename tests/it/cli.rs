@@ -3,7 +3,7 @@
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
 use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton, StampedPose, TrackingState};
 use bundlemocap::core::camera::Rig;
@@ -58,11 +58,17 @@ impl Place {
     }
 
     fn run(&self, command: &str) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
-            .args(command.split_whitespace())
-            .current_dir(self.0.path())
-            .output()
-            .unwrap()
+        self.command(command).output().unwrap()
+    }
+
+    fn command(&self, command: &str) -> Command {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+        program.args(command.split_whitespace()).current_dir(self.0.path());
+        program
+    }
+
+    fn start(&self, command: &str) -> Child {
+        self.command(command).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
     }
 
     /// Runs and expects success; returns the standard output.
@@ -834,13 +840,7 @@ fn a_shelf_of_takes_is_solved_once() {
     manifest.lock().unwrap();
     let part = place.path("takes/b/.bundlemocap-x.part");
     fs::write(&part, "left by a killed process").unwrap();
-    let mut waiting = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
-        .args("solve a.mcap b.mcap --out takes".split_whitespace())
-        .current_dir(place.0.path())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut waiting = place.start("solve a.mcap b.mcap --out takes");
     let mut told = String::new();
     let mut errors = BufReader::new(waiting.stderr.take().unwrap());
     errors.read_line(&mut told).unwrap();
@@ -907,13 +907,7 @@ fn a_solve_that_is_stopped_leaves_no_half_files() {
     let place = Place::new();
     walk(&place.path("a.mcap"), 3000, |_| true);
     walk(&place.path("b.mcap"), 60, |_| true);
-    let mut solving = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
-        .args("solve a.mcap b.mcap --out takes".split_whitespace())
-        .current_dir(place.0.path())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut solving = place.start("solve a.mcap b.mcap --out takes");
     while !place.path("takes/a/manifest.json").exists() {
         assert_eq!(solving.try_wait().unwrap(), None);
     }
@@ -979,12 +973,7 @@ fn output_that_cannot_be_written_is_an_error() {
     let place = Place::new();
     walk(&place.path("a.mcap"), 60, |_| true);
     let full = fs::File::options().write(true).open("/dev/full").unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
-        .args(["info", "a.mcap", "--json"])
-        .current_dir(place.0.path())
-        .stdout(full)
-        .output()
-        .unwrap();
+    let output = place.command("info a.mcap --json").stdout(full).output().unwrap();
     let errors = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{errors}");
     assert!(errors.contains("standard output cannot be written: No space left"), "{errors}");

@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 
 use crate::cli::Ended;
 use crate::cli::bus::BusName;
-use crate::cli::failure::{Exit, Failure, frame_rate_option, ratio};
+use crate::cli::failure::{Exit, Failure, frame_rate_option, json, ratio};
 use crate::cli::synth::NoiseName;
 use crate::cli::terminal::{complain, progress, say, table};
 use crate::config::Config;
@@ -94,8 +94,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let What::Latency(latency) = &arguments.what;
     let report = measure(latency)?;
     if latency.json {
-        let text = serde_json::to_string_pretty(&report);
-        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+        say(&json(&report)?);
     } else {
         say(&table(&report.rows()));
     }

@@ -317,7 +317,7 @@ fn write_foxglove(from: &Path, to: &Path) -> Result<Vec<String>, Failure> {
             format!("{} holds no poses and no keypoints of calibrated cameras", from.display());
         return Err(Failure::new(Exit::NotOurs, message));
     }
-    // The cause of an earlier failure is lost.
+    // The writer does not say why it failed before.
     let file = file.finish().map_err(|error| unwritten(&format!("{error}; is the disk full?")))?;
     let file = file.into_inner().map_err(|error| unwritten(&error))?;
     file.persist(to).map_err(|error| unwritten(&error))?;

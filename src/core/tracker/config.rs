@@ -121,7 +121,7 @@ impl Default for Config {
     }
 }
 
-/// A problem has two batches of frames.
+/// Most threads of a window: its frames are in two batches.
 pub(super) const MOST_THREADS: usize = 2;
 
 /// The body is estimated with all keyframes of a window at once: the time grows with the cube of their number.

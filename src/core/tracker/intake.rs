@@ -96,7 +96,7 @@ impl Intake {
         }
     }
 
-    /// Receives a frame: checks it and its time, and adds it to the buffer. `now` is the capture clock, if
+    /// Receives a frame: checks it, and adds it to the buffer. `now` is the capture clock, if
     /// there is one; live, frames that came up to `grace` after it were worth waiting for. Returns what
     /// is to be reported.
     pub(in crate::core) fn receive(

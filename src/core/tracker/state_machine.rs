@@ -163,9 +163,9 @@ impl Tracker {
         }
     }
 
-    /// A tracker for a live node: it publishes each pose by its due time, solved or extrapolated. It publishes final
-    /// poses once [`Tracker::set_latency`] has told their latency, and needs [`Input::Tick`] at the times of
-    /// [`Tracker::wake`] to be on time.
+    /// A tracker for a live node: it publishes each pose by its due time, solved or extrapolated. It publishes no final
+    /// pose before [`Tracker::set_latency`] is called. To be on time it needs [`Input::Tick`] at the times of
+    /// [`Tracker::wake`].
     #[must_use]
     pub fn live(mut self, live: Live) -> Self {
         self.live = Some(live);

@@ -103,8 +103,8 @@ impl Writer {
     /// are a fault of a publisher.
     pub const MOST_TOPICS: usize = 16_384;
 
-    /// Starts a recording for `path`, and replaces a file that is there. `solve` expects the frames in order of capture
-    /// time, give or take half a second: do not write one camera after the other.
+    /// Starts a recording for `path`; [`Writer::finish`] replaces a file that is there. Write the frames of all cameras in
+    /// order of capture time, not one camera after the other: a solve does not use frames that come too late.
     ///
     /// # Errors
     /// The folder is missing or not writable.

@@ -98,8 +98,8 @@ impl Node {
     /// is the core's. Each solver has a thread, the first one on `solver_core` if there is one.
     ///
     /// # Errors
-    /// The bus refuses the topics, the calibration file cannot be used, the address is in use, or
-    /// the system cannot start a thread.
+    /// A setting is out of range, there is no solver, the bus refuses the topics, the calibration file
+    /// cannot be used, the address is in use, or the system cannot start a thread.
     pub fn start(
         bus: Arc<dyn Bus>,
         presence: Presence,

@@ -66,11 +66,10 @@ impl Solver {
         let optimiser = config.optimiser.optimiser(config.change_threshold);
         let change = config.change_threshold.min(ACQUISITION_CHANGE);
         let acquisition_optimiser = config.optimiser.optimiser(change);
-        let pool = (config.threads > 1)
-            .then(|| SpinPool::of(config.threads.min(MOST_THREADS)))
-            .and_then(|pool| {
-                pool.inspect_err(|error| tracing::warn!("solving on one thread: {error}")).ok()
-            });
+        let threads = config.threads.min(MOST_THREADS);
+        let pool = (threads > 1).then(|| SpinPool::of(threads)).and_then(|pool| {
+            pool.inspect_err(|error| tracing::warn!("solving on one thread: {error}")).ok()
+        });
         let work = match pool {
             Some(_) => Workspace::in_parallel(),
             None => Workspace::default(),
