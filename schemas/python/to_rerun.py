@@ -113,7 +113,11 @@ def show(paths):
 
     scene, count = Scene(), 0
     for path in paths:
-        for topic, _, name, payload in bundlemocap.read_messages(path):
+        try:
+            messages = bundlemocap.read_messages(path)
+        except bundlemocap.Error as error:
+            raise SystemExit(str(error)) from None
+        for topic, _, name, payload in messages:
             kind = TYPES.get(name)
             if kind is not None:
                 scene.log(topic, kind.FromString(payload))

@@ -51,7 +51,7 @@ Exit codes:
    5  nobody found: no performer in two cameras
    6  partly done: windows that fit badly, a damaged recording, a replay up to lost inputs;
       one of several takes of `solve` or `summary` is not solved, or in part; `body` left out a take;
-      `record` lost messages or the disk is full; to `take` a node or recorder did not
+      `record` lost or got no messages, or the disk is full; to `take` a node or recorder did not
       answer or refused; no poses came for `retarget --out`
    7  no detections in the folder
    8  a camera without calibration, or the reverse

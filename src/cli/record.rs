@@ -29,6 +29,8 @@ use crate::live::WallClock;
 const FLUSH: Duration = Duration::from_secs(1);
 /// How often recorders publish the free space of their disk.
 const FREE_SPACE: Duration = Duration::from_secs(10);
+/// A recorder that has heard nothing for this long says so.
+const PATIENCE: Duration = Duration::from_secs(5);
 /// How long a node may take to answer with its calibration.
 const QUERY: Duration = Duration::from_millis(300);
 
@@ -97,8 +99,15 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (begin, line) = (Instant::now(), ticker());
     let answers = Answers::open(&*bus, &topics)?;
     let room = || room(folder);
+    let nothing =
+        format!("no messages on {pattern}; check --stage, --topics and whether the node runs");
+    let mut is_said = is_folder;
     let (recorded, is_stopped) = record(inbox, recorder, &answers, &stop, room, |recorded| {
         line.set_message(progress(recorded, begin.elapsed()));
+        if recorded.messages == 0 && begin.elapsed() > PATIENCE && !is_said {
+            is_said = true;
+            complain("warning", &nothing);
+        }
     })?;
     line.finish_and_clear();
     if !is_folder {
@@ -108,7 +117,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let fix = "the disk is too slow; record fewer topics with --topics, or use another disk";
         complain("warning", &format!("{} messages were dropped: {fix}", recorded.dropped));
     }
+    let is_empty = !is_folder && recorded.messages == 0;
+    if is_empty && !is_said {
+        complain("warning", &nothing);
+    }
     let is_all = recorded.dropped + recorded.skipped + recorded.failed == 0 && !is_stopped;
+    let is_all = is_all && !is_empty;
     Ok(if is_all { Exit::Done } else { Exit::InPart })
 }
 

@@ -20,6 +20,9 @@ use crate::core::time::Timestamp;
 use crate::offline::Motion;
 use crate::retarget::{Convention, Map, Retarget, RetargetError, Target};
 
+/// Scales that differ by less keep the performers' distances.
+const SAME_SCALE: f64 = 1.02;
+
 /// Retarget poses to another skeleton, live or from a recording.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -131,6 +134,13 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
         let path = path_of(out, several.then_some(&one.actor));
         write(retarget, one, &path, start)?;
         times.beside(&path, Some(start))?;
+    }
+    let scales = performers.iter().map(|one| retarget.scale(&one.skeleton));
+    let (least, most) = scales.fold((f64::MAX, 0.0), |(a, b): (f64, f64), s| (a.min(s), b.max(s)));
+    if most > SAME_SCALE * least {
+        let text = "the performers' movements have different scales, so their distances change; set `scale` in \
+                    --map to give all the same";
+        complain("note", text);
     }
     if damage.is_empty() {
         return Ok(Exit::Done);

@@ -238,7 +238,8 @@ impl Ready<'_> {
 #[cfg(feature = "view")]
 fn view(address: &str, config: &Config) -> Result<crate::view::Running, Failure> {
     let page = super::view::serve(address, super::view::live(config.clone()))?;
-    tracing::info!("the page is on {}", page.url());
+    // Whatever is logged: nothing else has the token.
+    super::terminal::note(&format!("the page is on {}", page.url()));
     Ok(page)
 }
 

@@ -34,12 +34,17 @@ impl SpanArguments {
         self.start.is_some() || self.end.is_some()
     }
 
-    /// First and last capture time in the recording, if one of them is given.
+    /// The capture time of --start, if it is given.
+    pub(super) fn first(&self, of: &Times) -> Option<Timestamp> {
+        self.start.as_ref().and_then(|text| of.time(text).ok())
+    }
+
+    /// First and last capture time in the recording, if one of them is given. With a timecode, all frames that have it
+    /// are in, also those a little before it.
     pub(super) fn within(&self, of: &Times) -> Result<Option<[Timestamp; 2]>, Failure> {
         if self.start.is_none() && self.end.is_none() {
             return Ok(None);
         }
-        // All frames with these timecodes are in.
         let half = |text: &String| match &of.house {
             Some(house) if text.contains(':') => house.half_frames(),
             _ => [Nanos::ZERO; 2],

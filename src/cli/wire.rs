@@ -138,9 +138,10 @@ fn status(status: &Status) -> String {
     let camera = |camera: &CameraCounters| {
         let CameraCounters { camera: name, rate_hz, age_s, offset_s, residual_px, .. } = camera;
         if *rate_hz == 0.0 {
+            let usable = if camera.unusable > 0 { "usable " } else { "" };
             return match *age_s > 0.0 {
-                true => format!("{name} no frames for {age_s:.0} s"),
-                false => format!("{name} no frames yet"),
+                true => format!("{name} no {usable}frames for {age_s:.0} s"),
+                false => format!("{name} no {usable}frames yet"),
             };
         }
         let lost = camera.late + camera.missing;

@@ -35,8 +35,6 @@ struct Fitted {
     scale: f64,
     /// Height of the ankles above the balls of the feet, metres: ours, the target's.
     ankles: [f64; 2],
-    /// From the target's hips to the middle of its hip joints at rest, aligned with ours, metres.
-    hip_joints: Vector3<f64>,
 }
 
 /// The target skeleton in a pose; our world, y up, metres.
@@ -130,11 +128,7 @@ impl Retarget {
         let scale = self.scale(skeleton);
         let ours = -0.5 * (skeleton.offset(Joint::LFoot).y + skeleton.offset(Joint::RFoot).y);
         let theirs = self.ankle_height(&align).unwrap_or(scale * ours);
-        let rest = |joint| self.mapping.joint(joint).map(|t| *self.target.rest(t));
-        let middle =
-            [Joint::LHip, Joint::RHip].into_iter().filter_map(rest).sum::<Vector3<f64>>() / 2.0;
-        let hip_joints = align[self.hips] * (middle - self.target.rest(self.hips));
-        Ok(Fitted { skeleton: skeleton.clone(), align, scale, ankles: [ours, theirs], hip_joints })
+        Ok(Fitted { skeleton: skeleton.clone(), align, scale, ankles: [ours, theirs] })
     }
 
     /// Mean height of the target's ankles above its toes, metres.
@@ -158,7 +152,6 @@ impl Retarget {
             hips: self.hips,
             ours: [None; JOINTS],
         };
-        let hips = self.hips_position(fitted, posture);
         for (index, joint) in self.target.joints().iter().enumerate() {
             let parent = joint.parent.map(|parent| figure.rotations[parent]);
             // The parent of the first joint is the file's world.
@@ -174,8 +167,11 @@ impl Retarget {
             let rotation = outer * in_file;
             figure.locals.push(if parent.is_some() { in_file } else { rotation });
             figure.rotations.push(rotation);
-            figure.positions.push(self.position(index, &figure, &hips));
         }
+        // The legs may hang from the hips or from the spine.
+        self.place(&mut figure, &Vector3::zeros());
+        let hips = self.hips_position(fitted, posture, &figure);
+        self.place(&mut figure, &hips);
         figure.ours = Joint::ALL.map(|joint| {
             let index = self.mapping.humanoid(&self.target, joint)?;
             let turn = figure.rotations[index] * fitted.align[index].transpose();
@@ -184,12 +180,24 @@ impl Retarget {
         figure
     }
 
-    /// Position of the target's hips, metres.
-    fn hips_position(&self, fitted: &Fitted, posture: &Posture) -> Vector3<f64> {
-        let at = |joint: Joint| posture.positions[joint.index()];
-        let mut middle = 0.5 * (at(Joint::LHip) + at(Joint::RHip)) * fitted.scale;
-        middle.y += fitted.ankles[1] - fitted.scale * fitted.ankles[0];
-        middle - posture.rotations[Joint::Pelvis.index()] * fitted.hip_joints
+    /// Where the target's hips are to be, metres; `figure` has them at the origin.
+    fn hips_position(&self, fitted: &Fitted, posture: &Posture, figure: &Figure) -> Vector3<f64> {
+        let mut way = Vector3::zeros();
+        for joint in [Joint::LHip, Joint::RHip] {
+            let wanted = posture.positions[joint.index()] * fitted.scale;
+            let own = self.mapping.joint(joint).map(|index| figure.positions[index]);
+            way += 0.5 * (wanted - own.unwrap_or_default());
+        }
+        way.y += fitted.ankles[1] - fitted.scale * fitted.ankles[0];
+        way
+    }
+
+    /// Computes the positions of all joints from their rotations and the position of the hips, metres.
+    fn place(&self, figure: &mut Figure, hips: &Vector3<f64>) {
+        figure.positions.clear();
+        for index in 0..figure.rotations.len() {
+            figure.positions.push(self.position(index, figure, hips));
+        }
     }
 
     /// Position of a joint, given the joints before it and the position of the hips, metres.

@@ -1207,7 +1207,8 @@ fn poses_are_exported_at_another_rate_in_place_and_in_part() {
     let all = rows();
     let is_lost = |row: &&(f64, String, Vec<f64>)| row.1 == "lost";
     let lost = all.iter().filter(is_lost).count();
-    assert!(all.len() == 150 && lost > 5, "{} poses, {lost} lost", all.len());
+    let flagged = all.iter().filter(|row| row.1 != "tracking").count();
+    assert!(all.len() == 150 && lost > 5 && flagged > lost, "{lost} and {flagged} of {all:?}");
     export("--out a.csv --start 20f --end 39f --fps 30 --in-place");
     let part = rows();
     assert_eq!(part.len(), 10);
@@ -1216,7 +1217,7 @@ fn poses_are_exported_at_another_rate_in_place_and_in_part() {
         assert!((time - k as f64 / 30.0).abs() < 2e-6 && pelvis[..] == [0.0, whole[1], 0.0], "{k}");
     }
     export("--out a.csv --lost skip");
-    assert_eq!(rows().len(), all.len() - lost);
+    assert_eq!(rows().len(), all.len() - flagged);
     // Poses have whole nanoseconds: no time is before the first one, and the rate is the cameras'.
     export("--out a.csv --out a.usda --start 100f --fps 60000/1001");
     assert!(!place.lines("a.csv").iter().any(|line| line.starts_with('-')));
@@ -1295,6 +1296,27 @@ fn poses_carry_the_timecode_of_the_house() {
     }
     let start = |file: &str| Reader::open(place.path(file)).unwrap().metadata()[TAKE].clone();
     assert_eq!(start("out/poses.mcap"), start("decoded.mcap"));
+    // At the rate of the house, a part that begins with a timecode has the poses of the whole.
+    place.done("solve walk.mcap --out whole --config house.toml");
+    place.done("export whole/poses.mcap --fps 25 --out whole.csv");
+    for frame in [3, 8, 13] {
+        let cut = format!("--fps 25 --start 01:00:00:{frame:02} --out cut.csv --overwrite");
+        place.done(&format!("export whole/poses.mcap {cut}"));
+        let rows = |file: &str| {
+            let rest = |line: String| line.split_once(',').unwrap().1.to_owned();
+            place.lines(file).into_iter().skip(1).map(rest).collect::<Vec<_>>()
+        };
+        assert!(rows("cut.csv") == rows("whole.csv")[frame..], "{frame}");
+    }
+    // At a higher rate, or from a time between two poses on, a file begins at 0, too.
+    for start in ["01:00:00:07", "0.308", "0.3"] {
+        let cut = format!("--fps 100 --start {start} --end 0.5 --out cut.csv --overwrite");
+        place.done(&format!("export whole/poses.mcap {cut}"));
+        let lines = place.lines("cut.csv");
+        let time = |line: &String| line.split(',').next().unwrap().parse::<f64>().unwrap();
+        assert_eq!(time(&lines[1]), 0.0, "{start}");
+        assert!((time(lines.last().unwrap()) - 0.2).abs() < 0.025, "{start}: {:?}", lines.last());
+    }
     place.done("retarget --skeleton out/poses.bvh --from out/poses.mcap --out mine.bvh");
     for file in ["out/poses.timecode.txt", "mine.timecode.txt"] {
         assert_eq!(fs::read_to_string(place.path(file)).unwrap(), "01:00:00:05 25\n", "{file}");

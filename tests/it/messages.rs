@@ -406,7 +406,7 @@ fn invalid_values_are_refused_with_message_and_field() {
     KeypointFrame.camera: camera "top" is not in the rig, add its calibration
     KeypointFrame.format: unknown keypoint format "body_26", use one of body_25, body_25b, coco_17, halpe_26, coco_wholebody_133
     KeypointFrame.people.points: 50 entries, expected 51
-    KeypointFrame.people.points: entry 1 is not a finite number
+    KeypointFrame.people.points: point 0 is not finite; a missing point has confidence 0
     KeypointFrame.people.points: point 0 has confidence -0.5
     Pose.root_rotation: quaternion 0 has length zero
     Pose.local_rotations: quaternion 2 has length zero

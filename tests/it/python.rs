@@ -748,10 +748,11 @@ for joint, name in [(0, "pelvis_jc"), (20, "l_wrist_jc"), (11, "r_foot_jc")]:
 print(angles.getNumRows(), len(angles.getColumnLabels()))
 "#;
 
-/// Prints the events of a C3D file, the frame of each, and the frames without points.
+/// Prints the events of a C3D file and the number of frames; compares the frames without points with those of a TRC file
+/// that OpenSim reads.
 const EVENTS: &str = r#"
 import sys
-import ezc3d, numpy as np
+import ezc3d, numpy as np, opensim
 file = ezc3d.c3d(sys.argv[1])
 events, rate = file["parameters"]["EVENT"], file["parameters"]["POINT"]["RATE"]["value"][0]
 minutes, seconds = events["TIMES"]["value"]
@@ -760,31 +761,38 @@ assert events["USED"]["value"] == [len(frames)] and set(events["CONTEXTS"]["valu
 lost = np.isnan(file["data"]["points"][:3]).all(axis=(0, 1))
 changes = [frame for frame in range(1, len(lost)) if lost[frame] != lost[frame - 1]]
 assert changes == list(frames), (changes, frames)
+table = opensim.TimeSeriesTableVec3(sys.argv[2])
+for column in map(table.getDependentColumn, table.getColumnLabels()):
+    assert [np.isnan(column[frame][0]) for frame in range(len(lost))] == list(lost)
 print(*events["LABELS"]["value"], len(lost))
 "#;
 
 #[test]
-fn c3d_has_events_where_the_performer_is_lost() {
-    let import = Command::new("python3").args(["-c", "import ezc3d, numpy"]).output();
+fn markers_are_empty_and_c3d_has_events_where_the_performer_is_lost_or_coasting() {
+    let import = Command::new("python3").args(["-c", "import ezc3d, numpy, opensim"]).output();
     if !import.is_ok_and(|output| output.status.success()) {
-        return crate::support::skipped("pip install ezc3d numpy first");
+        return crate::support::skipped("pip install ezc3d numpy opensim first");
     }
     let folder = tempfile::tempdir().unwrap();
-    let [solved, c3d] = ["poses.mcap", "lost.c3d"].map(|name| folder.path().join(name));
+    let [solved, c3d, trc] =
+        ["poses.mcap", "lost.c3d", "lost.trc"].map(|name| folder.path().join(name));
     let mut writer = Writer::create(&solved, Topics::default(), &Provenance::default()).unwrap();
     let skeleton = body::Skeleton::default();
     writer.skeleton(&skeleton, Timestamp::default()).unwrap();
     for frame in 0..90 {
-        let is_lost = (30..60).contains(&frame);
-        let state =
-            [body::TrackingState::Tracking, body::TrackingState::Lost][usize::from(is_lost)];
+        let state = match frame {
+            30..40 => body::TrackingState::Coasting,
+            40..60 => body::TrackingState::Lost,
+            _ => body::TrackingState::Tracking,
+        };
         let at = Timestamp::of_frame(frame, 60.0);
         writer.pose(&body::StampedPose::new(at, body::Pose::rest(), state), &skeleton).unwrap();
     }
     writer.finish().unwrap();
     let mut export = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
-    check(&export.arg("export").arg(&solved).arg("--out").arg(&c3d).output().unwrap());
-    let read = Command::new("python3").args(["-c", EVENTS]).arg(&c3d).output().unwrap();
+    export.arg("export").arg(&solved).arg("--out").arg(&c3d).arg("--out").arg(&trc);
+    check(&export.output().unwrap());
+    let read = Command::new("python3").args(["-c", EVENTS]).args([&c3d, &trc]).output().unwrap();
     check(&read);
     assert_eq!(String::from_utf8_lossy(&read.stdout), "Lost Tracked 90\n");
 }

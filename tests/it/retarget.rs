@@ -432,6 +432,34 @@ fn turned_bodies_with_extra_joints_above_the_hips_and_in_the_limbs_are_mapped() 
 }
 
 #[test]
+fn feet_are_on_the_floor_too_if_the_legs_hang_from_the_spine() {
+    let skeleton = Skeleton::default();
+    // As in Biped: hips, spine, and the legs from the spine on.
+    let spine = mixamo()[1].2;
+    let is_of_leg = |name: &str| ["Leg", "Foot", "Toe"].iter().any(|part| name.contains(part));
+    let (legs, mut rows): (Vec<Row>, Vec<Row>) =
+        mixamo().into_iter().partition(|(_, name, _)| is_of_leg(name));
+    let legs = legs.into_iter().map(|(depth, name, at)| match name.ends_with("UpLeg") {
+        true => (depth + 1, name, at - spine),
+        false => (depth + 1, name, at),
+    });
+    rows.splice(2..2, legs);
+    let mut retarget = retarget(&bvh_text(&rows, ZYX), "");
+    let worst = compare("legs from the spine", &mut retarget, &skeleton);
+    assert!(worst.limbs < 1.0 && worst.floor < 0.05, "{} {}", worst.limbs, worst.floor);
+    let mut bent = Pose::rest();
+    for joint in [Joint::Spine1, Joint::Spine2] {
+        bent.local[joint.index() - 1] = bundlemocap::core::so3::about(0, 0.4);
+    }
+    let [still, figure] =
+        [Pose::rest(), bent].map(|pose| retarget.apply(&pose, &skeleton).unwrap());
+    for ankle in [Joint::LAnkle, Joint::RAnkle] {
+        let [still, bent] = [&still, &figure].map(|figure| at(&retarget, figure, ankle).unwrap());
+        assert!((still - bent).norm() < 0.01, "{}", still - bent);
+    }
+}
+
+#[test]
 fn spines_of_any_length_bend_like_ours() {
     let skeleton = Skeleton::default();
     let mut pose = Pose::rest();

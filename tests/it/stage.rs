@@ -704,6 +704,29 @@ fn slow_cameras_beside_a_fast_one_are_views() {
     }
 }
 
+/// No camera sees anybody for three seconds; the detectors are noisy.
+#[test]
+fn who_is_there_when_all_cameras_stop_for_a_while_is_known_again() {
+    let meeting = Meeting { people: 2, distance: None };
+    let mut known = 0;
+    for seed in 1..=6 {
+        let recording = |person| {
+            let (body, motion) = meeting.person(person, seed);
+            let motion = Box::new(motion) as AnyMotion;
+            let mut recording = Recording::new(meeting.rig(4).unwrap(), body, motion);
+            (recording.fps, recording.frames) = (FPS, 8 * FPS as u64);
+            (recording.noise, recording.seed) = (Noise::studio(), 2 * seed + person as u64);
+            recording
+        };
+        let crowd = Crowd::new((0..2).map(recording).collect());
+        let frames = seen(&crowd, |_, _, seconds| !(3.0..6.0).contains(&seconds));
+        let result = run(&crowd.people()[0].rig, frames, "auto");
+        assert_eq!(result.events(EventKind::Entered)[..2], [0, 1]);
+        known += result.events(EventKind::Reentered).len();
+    }
+    assert!(known > 9, "{known} of 12");
+}
+
 /// A bystander is as tall as the second performer, who goes out and comes back.
 #[test]
 fn who_stands_by_does_not_become_the_performer_who_goes_out() {

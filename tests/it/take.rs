@@ -237,6 +237,18 @@ fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
 }
 
 /// A phone or Unreal: somebody else's messages, and what they get back.
+/// Not even the calibration comes on another stage.
+#[test]
+fn a_recorder_that_gets_nothing_says_so() {
+    let studio = Studio::over_zenoh("");
+    let mut recorder = Program::start(&mut studio.command("record take.mcap --stage other"));
+    assert!(recorder.has_said("no messages on mocap/other/**; check --stage"));
+    recorder.signal("INT");
+    let recorder = recorder.ended();
+    assert_eq!(recorder.code, Some(6), "{}", recorder.errors);
+    assert_eq!(recorder.errors.matches("no messages on").count(), 1, "{}", recorder.errors);
+}
+
 #[test]
 fn takes_are_begun_rated_and_ended_by_osc() {
     use vmc::rosc::{OscMessage, OscPacket, OscType, decoder, encoder};

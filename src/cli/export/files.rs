@@ -42,15 +42,21 @@ impl Format {
         }
     }
 
-    /// The files that come beside a file of this format. Two files of a performer may share them.
-    pub(super) fn beside(self, path: &Path, one: &Motion, export: &Export) -> Vec<PathBuf> {
-        let is_animation = matches!(self, Self::Bvh | Self::Glb | Self::Usda);
-        let is_marked = is_animation && export.lost == Lost::Mark;
-        let has_deviations = matches!(self, Self::Trc | Self::C3d) && has_deviations(one);
-        let timecode = (self == Self::Bvh).then(|| export.times.sidecar(path)).flatten();
-        let states = is_marked.then(|| side(path, STATES));
-        let deviations = has_deviations.then(|| deviations_of(path));
-        timecode.into_iter().chain(states).chain(deviations).collect()
+    /// The files that come beside a file of this format, and those that may be there from an export before. Two files of
+    /// a performer may share them.
+    pub(super) fn beside(self, path: &Path, one: &Motion, export: &Export) -> [Vec<PathBuf>; 2] {
+        let is_animation = matches!(self, Self::Bvh | Self::Glb | Self::Usda | Self::Mot);
+        let is_of_markers = matches!(self, Self::Trc | Self::C3d);
+        let states = is_animation.then(|| (side(path, STATES), export.lost == Lost::Mark));
+        let deviations = is_of_markers.then(|| (deviations_of(path), has_deviations(one)));
+        let both = states.into_iter().chain(deviations);
+        let (written, old): (Vec<_>, Vec<_>) = both.partition(|(_, is_written)| *is_written);
+        let [mut written, old] =
+            [written, old].map(|all| all.into_iter().map(|(p, _)| p).collect());
+        if self == Self::Bvh {
+            Vec::extend(&mut written, export.times.sidecar(path));
+        }
+        [written, old]
     }
 }
 
@@ -169,7 +175,7 @@ fn markers(
         let all = of_points.chain(posture.positions);
         all.map(|place| Some(style.place(&place))).collect::<Vec<_>>()
     };
-    let is_known = |pose: &&CompactPose| pose.state != TrackingState::Lost;
+    let is_known = |pose: &&CompactPose| pose.is_tracked();
     let poses = evenly(path, one, export);
     let frames: Vec<_> = (poses.iter())
         .map(|pose| pose.filter(is_known).map_or_else(|| vec![None; names.len()], places))
@@ -207,14 +213,15 @@ fn csv(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
 
 fn angles(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
-    write_angles(path, one.poses.iter().map(|pose| timed(seconds(pose), pose)))?;
+    write_angles(path, &one.skeleton, one.poses.iter().map(|pose| timed(seconds(pose), pose)))?;
     Ok(format!("{} poses", one.poses.len()))
 }
 
 fn mot(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let (fps, poses) = (one.fps, filled(path, one, export));
     let frames = poses.len();
-    write_mot(path, fps, poses.into_iter().map(|pose| pose.pose))?;
+    write_mot(path, fps, &one.skeleton, poses.into_iter().map(|pose| pose.pose))?;
+    mark(path, one, export)?;
     Ok(format!("{frames} frames at {fps:.2} Hz"))
 }
 

@@ -43,13 +43,14 @@ The ending of each file chooses the format:
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
 In all but .npz y is up, if --up does not say z. At rest the body is a T-pose (or what --rest says)
-that faces +z; in .mot it stands with hanging arms. All rotations are zero then. In .glb and .usda
-they are zero with --axes world only; else the joints have y along their bones. In .usda a `:` of a
-joint's name is `_`. Frames and times count from the first frame of the take, or from --start of
-export or of solve. Without --start, frame n of .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of
-the video, if the cameras run at the rate of the poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at
-most ten minutes in all. .trc and .c3d are empty there, and where the performer is lost; .c3d has
-events there. The standard deviations of the joint centres, metres, are in take1.trc.sd.csv beside
+that faces +z; in .mot it stands with straight legs and hanging arms, and x of the ground is z of the
+other files. All rotations are zero then. In .glb and .usda they are zero with --axes world only; else
+the joints have y along their bones. In .usda a `:` of a joint's name is `_`. Frames and times count
+from the first frame of the take, or from --start of export or of solve. Without --start, frame n of
+.bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of the
+poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at most ten
+minutes in all. .trc (nan) and .c3d are empty there, and where the performer is lost or coasting; .c3d
+has events there. The standard deviations of the joint centres, metres, are in take1.trc.sd.csv beside
 take1.trc; the same for .c3d.
 
 Examples:
@@ -181,12 +182,14 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (style, lost, figures) =
         (arguments.options.style(), arguments.options.lost, arguments.figures.into());
     let export = Export { times, start, style, lost, figures };
-    let (mut files, mut paths) = (Vec::new(), whole.clone());
+    let (mut files, mut paths, mut old) = (Vec::new(), whole.clone(), Vec::new());
     for one in &solved.performers {
         let mut besides = Vec::new();
         for (path, format, write) in &of_one {
             let path = path_of(path, several.then_some(&one.actor));
-            for beside in format.beside(&path, one, &export) {
+            let [written, not_written] = format.beside(&path, one, &export);
+            old.extend(not_written);
+            for beside in written {
                 if !besides.contains(&beside) {
                     besides.push(beside);
                 }
@@ -203,6 +206,13 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     for (path, one, write) in files {
         say(&format!("{}: {}", path.display(), write(&path, one, &export)?));
     }
+    // That of `solve` is of the whole take, too.
+    let own = arguments.file.with_extension("states.csv");
+    old.sort_unstable();
+    old.dedup();
+    for path in old.iter().filter(|path| **path != own && !paths.contains(path) && path.exists()) {
+        complain("note", &format!("{} is of another export, not of this one", path.display()));
+    }
     Ok(exit_of(&arguments.file, &solved.damage))
 }
 
@@ -217,27 +227,41 @@ fn cut(
     times.rate = Some(fps);
     let last = performers.iter().filter_map(|one| Some(one.poses.last()?.capture)).max();
     let mut wanted = file_start(first, times.first);
-    if let Some([from, to]) = arguments.span.within(times)? {
-        let slack = Nanos::rounded(ON_FRAME / fps * 1e9);
+    let (span, is_resampled) = (arguments.span.within(times)?, arguments.options.is_resampled());
+    let slack = Nanos::rounded(ON_FRAME / fps * 1e9);
+    if let Some([from, to]) = span {
+        // Between two poses one before and one after are needed.
+        let more = if is_resampled { Nanos::rounded(1e9 / fps) + slack } else { slack };
         for one in performers.iter_mut() {
-            let is_in = |at: Timestamp| at + slack >= from && at - slack <= to;
+            let is_in = |at: Timestamp| at + more >= from && at - more <= to;
             one.poses.retain(|pose| is_in(pose.capture));
         }
         wanted = wanted.max(from);
     }
-    let start = frame_from((first, fps), wanted);
-    // A pose on the grid may be a moment earlier; files have no negative times.
-    let earliest = performers.iter().filter_map(|one| Some(one.poses.first()?.capture)).min();
-    let start = earliest.map_or(start, |earliest| start.min(earliest));
+    let start = match arguments.span.first(times).filter(|_| is_resampled) {
+        // The same times as without --start, if it is one of them.
+        Some(asked) => asked.max(wanted),
+        None => {
+            let start = frame_from((first, fps), wanted);
+            // A pose on the grid may be a moment earlier; files have no negative times.
+            let all = performers.iter().filter_map(|one| Some(one.poses.first()?.capture));
+            all.min().map_or(start, |earliest| start.min(earliest))
+        }
+    };
     for one in performers.iter_mut() {
         let poses = std::mem::take(&mut one.poses);
         (one.poses, one.fps) = arguments.options.apply(poses, start, one.fps);
+        if let Some([_, to]) = span.filter(|_| is_resampled) {
+            let is_in = |at: Timestamp| at + slack >= start && at - slack <= to;
+            one.poses.retain(|pose| is_in(pose.capture));
+        }
     }
     let (left, gone): (Vec<Motion>, Vec<Motion>) =
         performers.drain(..).partition(|one| !one.poses.is_empty());
     *performers = left;
     if performers.is_empty() {
-        let but = if arguments.options.lost == Lost::Skip { " but lost ones" } else { "" };
+        let but =
+            if arguments.options.lost == Lost::Skip { " but lost or coasting ones" } else { "" };
         return Err(Failure::new(
             Exit::Usage,
             format!(

@@ -46,17 +46,17 @@ pub(super) struct Options {
     /// Leave out the movement over the floor: the pelvis stays above the origin.
     #[arg(long)]
     in_place: bool,
-    /// What becomes of poses that are lost: too little was seen, or they did not fit.
+    /// What becomes of poses that are lost or coasting: too little was seen, or they did not fit.
     #[arg(long, value_enum, default_value_t = Lost::Keep)]
     pub(super) lost: Lost,
 }
 
-/// What becomes of poses that are lost.
+/// What becomes of poses that are not tracked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Lost {
     /// Written like others; .csv and .npz say which they are. In .trc and .c3d they are empty.
     Keep,
-    /// The same, and beside each .bvh, .glb and .usda a .states.csv says which they are.
+    /// The same, and beside each .bvh, .glb, .usda and .mot a .states.csv says which they are.
     Mark,
     /// Left out, as if nothing had been solved there.
     Skip,
@@ -99,6 +99,11 @@ impl Options {
         style
     }
 
+    /// Whether the files have another frame rate.
+    pub(super) fn is_resampled(&self) -> bool {
+        self.fps.is_some()
+    }
+
     /// Whether one of them changes the poses.
     pub(super) fn changes_poses(&self) -> bool {
         self.fps.is_some() || self.in_place || self.lost == Lost::Skip
@@ -106,7 +111,7 @@ impl Options {
 
     /// Fails if an option has no meaning for a format.
     pub(super) fn check(&self, format: Format) -> Result<(), Failure> {
-        use Format::{Angles, Bvh, C3d, Csv, Glb, Npz, Trc, Usda};
+        use Format::{Angles, Bvh, C3d, Csv, Glb, Mot, Npz, Trc, Usda};
         let [animations, markers]: [&[Format]; 2] = [&[Glb, Usda, Bvh, Csv], &[Bvh, Trc, C3d]];
         let options: [(&str, bool, &[Format]); 6] = [
             ("--axes", self.axes != JointAxes::Bone, &[Glb, Usda]),
@@ -114,7 +119,11 @@ impl Options {
             ("--names", self.names != JointNames::Ours, animations),
             ("--up", self.up != Up::Y, &[Bvh, Trc, C3d, Csv]),
             ("--unit", self.unit.is_some(), markers),
-            ("--lost mark", self.lost == Lost::Mark, &[Bvh, Glb, Usda, Csv, Angles, Npz, Trc, C3d]),
+            (
+                "--lost mark",
+                self.lost == Lost::Mark,
+                &[Bvh, Glb, Usda, Mot, Csv, Angles, Npz, Trc, C3d],
+            ),
         ];
         let wrong = options.iter().find(|(_, given, of)| *given && !of.contains(&format));
         wrong.map_or(Ok(()), |(option, _, of)| {
@@ -136,7 +145,7 @@ impl Options {
         fps: f64,
     ) -> (Vec<CompactPose>, f64) {
         if self.lost == Lost::Skip {
-            poses.retain(|pose| pose.state != TrackingState::Lost);
+            poses.retain(CompactPose::is_tracked);
         }
         if let Some(wanted) = self.fps {
             poses = resampled(&poses, start, fps, wanted);

@@ -1,7 +1,8 @@
 //! Joint angles, with the names and definitions of OpenSim's Rajagopal models.
 //!
-//! All are 0 where the body stands upright and faces forward (x of OpenSim) with hanging arms. Rotations are about z
-//! (to the right), then x, then y (up). Positive are: flexion of hip, knee, elbow and arm, dorsiflexion, extension of
+//! All are 0 where the body stands upright and faces forward (x of OpenSim), and legs and arms are straight and hang down.
+//! Rotations are about z (to the right), then x, then y (up). Positive are: flexion of hip, knee, elbow and arm,
+//! dorsiflexion, extension of
 //! the back, adduction, and for both sides rotation inwards. Rotations that a joint of those models does not have are
 //! left out: knees, elbows and ankles bend about one axis. The upper arm turns about its own axis until the elbow's one
 //! axis brings the forearm where it is. The pelvis' place is that of our joint, not of the origin of the models' pelvis.
@@ -15,12 +16,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use libm::{atan2, hypot};
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::pose_table::{TimedPose, write_table};
 use super::style::{RestPose, Style};
 use super::{ExportError, Up};
-use crate::core::body::{Joint, Pose};
+use crate::core::body::{JOINTS, Joint, Pose, Skeleton};
 use crate::core::so3;
 use crate::io::new_file;
 
@@ -77,9 +78,23 @@ const CHAINS: [(&[Joint], bool); 12] = [
     (&[Joint::LElbow], false),
 ];
 
+/// The bones that hang down where all angles are 0, each from its joint to the next.
+const HANGING: [[Joint; 2]; 8] = [
+    [Joint::LHip, Joint::LKnee],
+    [Joint::LKnee, Joint::LAnkle],
+    [Joint::RHip, Joint::RKnee],
+    [Joint::RKnee, Joint::RAnkle],
+    [Joint::LShoulder, Joint::LElbow],
+    [Joint::LElbow, Joint::LWrist],
+    [Joint::RShoulder, Joint::RElbow],
+    [Joint::RElbow, Joint::RWrist],
+];
+
 /// Computes the angles of poses in order.
 struct Angles {
     style: Style,
+    /// By joint, the shortest turn from down to its bone in the rest pose.
+    tilts: [Matrix3<f64>; JOINTS],
     /// The last angles, radians, so that the next ones go on without jumps of a turn.
     last: [[f64; 3]; CHAINS.len()],
     /// By side, the last turn of the upper arm about its axis, radians.
@@ -87,9 +102,18 @@ struct Angles {
 }
 
 impl Angles {
-    fn new() -> Self {
+    fn new(body: &Skeleton) -> Self {
+        let rest = RestPose::N.pose().posture(body).positions;
+        let mut tilts = [Matrix3::identity(); JOINTS];
+        for [joint, next] in HANGING {
+            let bone = rest[next.index()] - rest[joint.index()];
+            if let Some(tilt) = Rotation3::rotation_between(&-Vector3::y(), &bone) {
+                tilts[joint.index()] = tilt.into_inner();
+            }
+        }
         Self {
             style: Style::new(RestPose::N, Up::Y),
+            tilts,
             last: Default::default(),
             last_turn: [0.0; 2],
         }
@@ -100,6 +124,10 @@ impl Angles {
         // x of OpenSim is our z, its z is our -x.
         let axes = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
         let mut pose = self.style.pose(pose);
+        for (joint, turn) in Joint::ALL.into_iter().skip(1).zip(&mut pose.local) {
+            let outer = joint.parent().map_or(Matrix3::identity(), |at| self.tilts[at.index()]);
+            *turn = outer.transpose() * *turn * self.tilts[joint.index()];
+        }
         let arms = [(Joint::LShoulder, Joint::LElbow), (Joint::RShoulder, Joint::RElbow)];
         for ((shoulder, elbow), last) in arms.into_iter().zip(&mut self.last_turn) {
             let (shoulder, elbow) = (shoulder.index() - 1, elbow.index() - 1);
@@ -147,19 +175,20 @@ fn hinged(elbow: &Matrix3<f64>, last: &mut f64) -> (Matrix3<f64>, Matrix3<f64>) 
     (so3::about(1, *last), so3::about(2, bent))
 }
 
-/// Writes a .mot file of evenly spaced poses from 0 s.
+/// Writes a .mot file of evenly spaced poses of a body from 0 s.
 ///
 /// # Errors
 /// The disk is full, the rate is not above 0, or a pose has a value that is not finite.
 pub fn write_mot(
     path: &Path,
     fps: f64,
+    body: &Skeleton,
     poses: impl IntoIterator<Item = Pose>,
 ) -> Result<(), ExportError> {
     if !(fps.is_finite() && fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps });
     }
-    let (mut rows, mut frames, mut angles) = (String::new(), 0, Angles::new());
+    let (mut rows, mut frames, mut angles) = (String::new(), 0, Angles::new(body));
     for pose in poses {
         let numbers = angles.of(&pose);
         if !numbers.iter().all(|number| number.is_finite()) {
@@ -173,7 +202,8 @@ pub fn write_mot(
     }
     let (columns, names) = (COORDINATES + 1, NAMES.join("\t"));
     let text = format!(
-        "Coordinates\nversion=1\nnRows={frames}\nnColumns={columns}\ninDegrees=yes\nendheader\n\
+        "Coordinates\nversion=1\nnRows={frames}\nnColumns={columns}\ninDegrees=yes\n\
+         x of this ground is z of the other files, and its z is their -x.\nendheader\n\
          time\t{names}\n{rows}"
     );
     new_file::write(path, text.as_bytes()).map_err(ExportError::write(path))
@@ -185,9 +215,10 @@ pub fn write_mot(
 /// The disk is full, or a pose has a value that is not finite.
 pub fn write_angles(
     path: &Path,
+    body: &Skeleton,
     poses: impl IntoIterator<Item = TimedPose>,
 ) -> Result<(), ExportError> {
-    let mut angles = Angles::new();
+    let mut angles = Angles::new(body);
     let header = ["time_s", "state"].into_iter().chain(NAMES).map(str::to_owned).collect();
     let row = |(frame, TimedPose { time, state, pose, .. }): (usize, TimedPose)| {
         let begin = [format!("{time:.6}"), state.name().to_owned()];
@@ -204,8 +235,6 @@ pub fn write_angles(
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
-
     use super::*;
     use crate::core::body::TrackingState;
 
@@ -219,9 +248,43 @@ mod tests {
                 None => pose.root_rotation = turn,
             }
         }
-        let all = Angles::new().of(&pose);
+        let all = straight().of(&pose);
         let at = |name: &&str| all[NAMES.iter().position(|own| own == name).unwrap()];
         names.iter().map(at).map(|number| (number * 1e6).round() / 1e6).collect()
+    }
+
+    /// Of a body whose bones hang straight down in the rest pose.
+    fn straight() -> Angles {
+        Angles { tilts: [Matrix3::identity(); JOINTS], ..Angles::new(&Skeleton::default()) }
+    }
+
+    #[test]
+    fn a_knee_and_an_elbow_are_bent_by_the_angle_of_their_bones() {
+        let body = Skeleton::default();
+        let all = |pose: &Pose| Angles::new(&body).of(pose);
+        let at = |all: &[f64], name| all[NAMES.iter().position(|own| *own == name).unwrap()];
+        let bent = |pose: &Pose, [from, joint, to]: [Joint; 3]| {
+            let places = pose.posture(&body).positions;
+            let [from, joint, to] = [from, joint, to].map(|one| places[one.index()]);
+            (joint - from).angle(&(to - joint)).to_degrees()
+        };
+        let (leg, arm) = (
+            [Joint::LHip, Joint::LKnee, Joint::LAnkle],
+            [Joint::RShoulder, Joint::RElbow, Joint::RWrist],
+        );
+        let rest = RestPose::N.pose();
+        // Our rest pose is not quite straight.
+        assert!(bent(&rest, leg) > 3.0);
+        assert!((at(&all(&rest), "knee_angle_l") - bent(&rest, leg)).abs() < 0.01);
+        let mut pose = rest.clone();
+        let turned = [(Joint::LHip, [-60.0, 5.0, 8.0]), (Joint::LKnee, [80.0, 0.0, 0.0])];
+        let turned = turned.into_iter().chain([(Joint::RElbow, [-50.0, 0.0, 0.0])]);
+        for (joint, degrees) in turned {
+            let local = &mut pose.local[joint.index() - 1];
+            *local = so3::exp(&Vector3::from(degrees.map(f64::to_radians))) * *local;
+        }
+        assert!((at(&all(&pose), "knee_angle_l") - bent(&pose, leg)).abs() < 0.05);
+        assert!((at(&all(&pose), "elbow_flex_r") - bent(&pose, arm)).abs() < 0.05);
     }
 
     #[test]
@@ -233,8 +296,9 @@ mod tests {
             let (state, deviations) = (TrackingState::Tracking, None);
             TimedPose { time: 0.0, state, pose, deviations }
         };
-        write_angles(&path, [at(0.0)]).unwrap();
-        let found = write_angles(&path, [at(0.0), at(f64::NAN)]);
+        let body = Skeleton::default();
+        write_angles(&path, &body, [at(0.0)]).unwrap();
+        let found = write_angles(&path, &body, [at(0.0), at(f64::NAN)]);
         assert!(matches!(found, Err(ExportError::NotFinite { frame: 1, .. })), "{found:?}");
     }
 
@@ -265,7 +329,7 @@ mod tests {
         assert_eq!(back, [-5.0, 0.0]);
         assert_eq!(found(&[(Joint::Pelvis, [0.0, 20.0, 0.0])], &["pelvis_rotation"]), [20.0]);
         // In a T-pose the arms are led away from the body.
-        let level = Angles::new().of(&Pose::rest());
+        let level = straight().of(&Pose::rest());
         let arm = NAMES.iter().position(|name| *name == "arm_add_r").unwrap();
         assert!((level[arm] + 90.0).abs() < 1e-6, "{}", level[arm]);
     }

@@ -134,7 +134,8 @@ pub struct Markers<'a> {
     pub frames: &'a [Vec<Option<Vector3<f64>>>],
 }
 
-/// Writes a TRC file. Frames count from 1, times from 0.
+/// Writes a TRC file. Frames count from 1, times from 0. A place that is not known is `nan`: OpenSim's tables drop empty
+/// cells at the end of a row.
 ///
 /// # Errors
 /// The disk is full, the rate is not above 0, or a place is not finite.
@@ -164,7 +165,7 @@ pub fn write_trc(path: &Path, markers: &Markers) -> Result<(), ExportError> {
                     text += &format!("\t{:.6}\t{:.6}\t{:.6}", at.x, at.y, at.z);
                 }
                 Some(_) => return Err(ExportError::NotFinite { path: path.into(), frame }),
-                None => text += "\t\t\t",
+                None => text += "\tnan\tnan\tnan",
             }
         }
         text.push('\n');

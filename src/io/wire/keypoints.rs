@@ -125,7 +125,10 @@ fn detection(index: usize, point: [f32; 3]) -> Result<Option<Detection>, DecodeE
     if confidence == 0.0 {
         return Ok(None);
     }
-    POINTS.finite(&point)?;
+    if !point.iter().all(|number| number.is_finite()) {
+        let fix = "a missing point has confidence 0";
+        return Err(POINTS.invalid(format!("point {index} is not finite; {fix}")));
+    }
     if confidence < 0.0 {
         return Err(POINTS.invalid(format!("point {index} has confidence {confidence}")));
     }

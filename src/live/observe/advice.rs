@@ -44,7 +44,6 @@ pub(crate) fn advice(kind: &str) -> Option<&'static str> {
         "not_followed" => {
             "the solved body is not where the cameras see the performer; run `check` on a recording"
         }
-        "crowd" => "a detector reports too many people; raise its threshold",
         _ => return None,
     })
 }

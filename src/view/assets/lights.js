@@ -127,7 +127,8 @@ export function cameraLight(store, name, now, advice, isAsked) {
     const rate = counters.rate_hz ?? 0;
     const age = counters.age_s ?? 0;
     const silent = isAsked ? silence(store, name, rate) : 0;
-    if (age > 1 || rate === 0) light.add("bad", age > 0 ? `no frame for ${age.toFixed(0)} s` : "no frame yet");
+    const frame = counters.unusable > 0 ? "usable frame" : "frame";
+    if (age > 1 || rate === 0) light.add("bad", age > 0 ? `no ${frame} for ${age.toFixed(0)} s` : `no ${frame} yet`);
     else if (silent > 0) light.add("bad", `no frame for ${(silent / 1000).toFixed(1)} s`);
     else if (rate < 0.8 * usualRate(cameras)) {
       light.add("warn", `${rate.toFixed(1)} of ${usualRate(cameras).toFixed(0)} frames a second`);

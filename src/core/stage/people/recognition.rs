@@ -19,6 +19,9 @@ const AWAY_M_S: f64 = 3.0;
 /// metres.
 const INTERRUPTED: Nanos = Nanos::from_ms(1500);
 const IN_PLACE_M: f64 = 0.5;
+/// After a longer one, of up to this time, a performer is expected where people walk to, m/s.
+const SOON: Nanos = Nanos::from_ms(5000);
+const WALK_M_S: f64 = 1.5;
 /// Nobody else can come so near so soon, whatever the lengths say: time and metres.
 const AT_ONCE: (Nanos, f64) = (Nanos::from_ms(500), 0.25);
 /// Bodies that differ by less (`Lengths::difference`) are one person's.
@@ -149,9 +152,13 @@ impl People {
                 && one.person.lengths.difference(&person.lengths).is_none()
         };
         let is_undecided = !person.is_seen_for(UNDECIDED);
-        let gate = if self.has_place() { SAME_BODY } else { EXPECTED_BODY };
+        let gate =
+            |place: usize| match !self.has_place() || self.absent[place].is_expected_as(person) {
+                true => EXPECTED_BODY,
+                false => SAME_BODY,
+            };
         match self.most_alike(index, at) {
-            Some((place, difference)) if difference < gate => Verdict::Known(place),
+            Some((place, difference)) if difference < gate(place) => Verdict::Known(place),
             Some(_) if is_undecided => Verdict::Unsure,
             None if is_undecided && self.absent.iter().any(is_unknown) => Verdict::Unsure,
             _ => Verdict::New,
@@ -288,6 +295,17 @@ impl Absent {
     pub(super) fn keeps_place(&self) -> bool {
         let is_one = || self.person.seen - self.person.first > FOLLOWED;
         !self.has_left && (self.merged.is_none() || is_one())
+    }
+
+    /// Whether everybody was lost at once, not long before a candidate came where this performer may have walked to.
+    fn is_expected_as(&self, candidate: &Person) -> bool {
+        let gap = candidate.first - self.person.seen;
+        let reach = AWAY_M + WALK_M_S * gap.seconds();
+        let off = || apart(self.person.points(), candidate.points());
+        self.is_interrupted
+            && !self.is_elsewhere
+            && (Nanos::ZERO..SOON).contains(&gap)
+            && off().is_some_and(|off| off < reach)
     }
 
     /// Whether the performer can have got to where a candidate is.
