@@ -59,7 +59,7 @@ pub(super) fn clocks(
     let most = if is_part { MOST_IF_UNSURE } else { i64::MAX };
     let far = far(scene, camera, most, |clock| search.error(&search.errors(clock)));
     let mut kinds = vec![(far, WEIGHT)];
-    if !is_part {
+    if !is_part && !scene.footage.have_right_rates {
         kinds.extend([(search.rated(), WEIGHT), (search.drifting(), DRIFT_WEIGHT)]);
     }
     let kinds = kinds.into_iter().filter_map(|(clock, weight)| Some((clock?, weight)));

@@ -61,6 +61,7 @@ pub struct Evidence {
     with_people: Vec<usize>,
     with_several: Vec<usize>,
     performers: Vec<Seen>,
+    have_right_rates: bool,
 }
 
 impl Evidence {
@@ -77,8 +78,14 @@ impl Evidence {
             with_people: vec![0; cameras],
             with_several: vec![0; cameras],
             performers: Vec::new(),
+            have_right_rates: false,
             rig,
         }
+    }
+
+    /// The arrival of the frames tells that no camera's clock runs faster or slower than those of the others.
+    pub fn rates_are_right(&mut self) {
+        self.have_right_rates = true;
     }
 
     /// Adds a frame, with the capture time of its camera. `percent` is the number of its points whose
@@ -167,9 +174,11 @@ impl Evidence {
         self.follow(true);
         let cameras = rig.cameras.len();
         for footage in [&mut self.largest, &mut self.everybody] {
+            footage.have_right_rates = self.have_right_rates;
             footage.keep_first(cameras);
         }
         for Seen { footage, found } in &mut self.performers {
+            footage.have_right_rates = self.have_right_rates;
             footage.keep_first(cameras);
             found.truncate(cameras);
         }

@@ -139,12 +139,15 @@ impl Track {
 pub struct Footage {
     pub(super) tracks: Vec<Track>,
     most_people: usize,
+    /// Whether no camera's clock runs faster or slower than those of the others.
+    pub(super) have_right_rates: bool,
 }
 
 impl Footage {
     /// No frames yet, of that many cameras. Of the people of a frame, so many are kept: the largest.
     pub fn new(cameras: usize, most_people: usize) -> Self {
-        Self { tracks: vec![Track { stride: 1, ..Track::default() }; cameras], most_people }
+        let tracks = vec![Track { stride: 1, ..Track::default() }; cameras];
+        Self { tracks, most_people, have_right_rates: false }
     }
 
     /// Forgets all but the first cameras.

@@ -11,8 +11,10 @@ use super::clock::ATTENTION;
 use crate::cli::tools::inbox::Inbox;
 use crate::cli::tools::survey::{other_stages, survey};
 use crate::core::camera::Rig;
+use crate::core::points::median;
+use crate::core::time::Timestamp;
 use crate::core::tracker::Config;
-use crate::diagnose::{Check, Evidence};
+use crate::diagnose::{CameraCheck, Check, Evidence};
 use crate::io::bus::{Bus, BusError};
 use crate::io::wire::{self, KeypointFrame, Topics, decode};
 use crate::live::Monitor;
@@ -28,6 +30,12 @@ const AGAIN: Duration = Duration::from_secs(60);
 const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
 const CHANCE: Duration = Duration::from_secs(30);
+/// A clock that runs with the arrival of its frames within this part has no other rate.
+const RIGHT_RATE: f64 = 0.01;
+/// Cameras are judged again after these times, the second one if something is wrong or a camera is not in use: who stands
+/// still shows no wrong clock, and a camera may be restarted.
+const REST: Duration = Duration::from_secs(60);
+const SHORT_REST: Duration = Duration::from_secs(15);
 
 /// Looks after the cameras of a node until it is over, and corrects their clocks if `corrects`. Its thread gives way to
 /// all others. It ends soon after: a running check, which may take seconds, has a thread of its own that nothing waits
@@ -45,7 +53,10 @@ pub(super) fn look(
     #[cfg(target_os = "linux")]
     let _ = rustix::process::nice(19);
     let mut at = Instant::now() + PATIENCE;
-    let mut judged = None;
+    // A calibration that was judged, and until when that holds.
+    let mut judged: Option<(Vec<u8>, Instant)> = None;
+    // What was found then.
+    let mut said = None;
     let (mut rig_of_clocks, mut clocks) = (Vec::new(), Clocks::default());
     let mut silence = Silence::default();
     while !is_over() {
@@ -62,7 +73,10 @@ pub(super) fn look(
             }
             continue;
         }
-        let Some(bytes) = node.rig().filter(|rig| Some(rig) != judged.as_ref()) else { continue };
+        let holds = |rig: &Vec<u8>| {
+            judged.as_ref().is_some_and(|(of, until)| of == rig && Instant::now() < *until)
+        };
+        let Some(bytes) = node.rig().filter(|rig| !holds(rig)) else { continue };
         let rig = decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core());
         let Ok(rig) = rig else { continue };
         if rig_of_clocks != bytes {
@@ -85,15 +99,25 @@ pub(super) fn look(
                 // Motion, or somebody, has corrected the clocks meanwhile.
                 continue;
             }
-            let mut orders = Vec::new();
+            let (mut orders, mut rest) = (Vec::new(), SHORT_REST);
             if let Ok(check) = check.join() {
-                say(&check);
+                let status = node.status().unwrap_or_default();
+                let unused = not_in_use(&status);
+                if check.is_clean() && unused.is_empty() {
+                    rest = REST;
+                }
+                let causes = Some(causes(&check, &unused));
+                if causes != said {
+                    say(&check, &unused);
+                    said = causes;
+                }
                 if corrects {
                     orders = clocks.orders(&check, &now);
                 }
             }
-            // Corrected clocks are judged again.
-            judged = (orders.is_empty() && !clocks.are_tried()).then_some(bytes);
+            // Corrected clocks are judged again at once.
+            let is_final = orders.is_empty() && !clocks.are_tried();
+            judged = is_final.then(|| (bytes, Instant::now() + rest));
             orders.iter().for_each(|order| node.order(order));
         }
     }
@@ -128,6 +152,7 @@ fn watch(
     let inbox = Inbox::open(bus, &topics.keypoints("*"))?;
     let begin = Instant::now();
     let mut evidence = Evidence::new(Arc::new(rig.clone()), Config::default(), None);
+    let mut arrivals = vec![Arrivals::default(); rig.cameras.len()];
     let mut since = None;
     while goes_on() {
         let Some(received) = inbox.next(ATTENTION) else { continue };
@@ -135,13 +160,41 @@ fn watch(
         let frame = frame.and_then(|frame| frame.to_core(|name| rig.index_of(name)).ok());
         let Some(frame) = frame else { continue };
         evidence.add(&frame, 0);
+        arrivals[frame.camera].add(frame.capture, received.arrival);
         let now = begin.elapsed();
         let Some(patience) = patience(evidence.with_people()) else { continue };
         if now - *since.get_or_insert(now) >= patience && now >= LEAST {
+            let mut drifts = arrivals.iter().filter_map(Arrivals::drift);
+            if drifts.all(|drift| drift.abs() < RIGHT_RATE) {
+                evidence.rates_are_right();
+            }
             return Ok(Some(evidence));
         }
     }
     Ok(None)
+}
+
+/// When the frames of a camera came, after their capture times.
+#[derive(Clone, Default)]
+struct Arrivals(Vec<(Timestamp, f64)>);
+
+impl Arrivals {
+    fn add(&mut self, capture: Timestamp, arrival: Timestamp) {
+        self.0.push((capture, arrival.seconds_since(capture)));
+    }
+
+    /// How much slower its clock is than this computer's, as a part of time; `None`: too few frames have come.
+    fn drift(&self) -> Option<f64> {
+        let quarter = self.0.len() / 4;
+        let part = |from: usize| {
+            let part = &self.0[from..from + quarter];
+            let late = median(&mut part.iter().map(|(_, late)| *late).collect::<Vec<_>>())?;
+            Some((part.get(quarter / 2)?.0, late))
+        };
+        let ((begin, first), (end, last)) = (part(0)?, part(self.0.len() - quarter)?);
+        let seconds = end.seconds_since(begin);
+        (self.0.len() >= FRAMES / 2 && seconds > 0.0).then(|| (last - first) / seconds)
+    }
 }
 
 /// How long to wait before cameras are judged that have seen somebody in that many frames each; `None`:
@@ -154,21 +207,60 @@ fn patience(with_people: &[usize]) -> Option<Duration> {
     }
 }
 
-fn say(check: &Check) {
+/// The cameras that send nothing that can be used.
+fn not_in_use(status: &wire::Status) -> Vec<&str> {
+    let cameras = status.cameras.iter().filter(|camera| camera.rate_hz == 0.0);
+    cameras.map(|camera| camera.camera.as_str()).collect()
+}
+
+/// The cause of each fault, with its camera, and the cameras that are not in use: what is said once.
+fn causes(check: &Check, unused: &[&str]) -> Vec<String> {
+    let of_camera = |camera: &CameraCheck| {
+        let findings = camera.findings.iter();
+        findings.map(|found| format!("{} {}", camera.camera, found.cause)).collect::<Vec<_>>()
+    };
+    let all = check.findings.iter().map(|found| found.cause.to_owned());
+    let unused = unused.iter().map(|camera| (*camera).to_owned());
+    check.cameras.iter().flat_map(of_camera).chain(all).chain(unused).collect()
+}
+
+fn say(check: &Check, unused: &[&str]) {
     for warning in check.warnings() {
         tracing::warn!("{warning}");
     }
     if check.is_clean() {
+        let others = match unused {
+            [] => String::new(),
+            names => format!(", without {}", names.join(", ")),
+        };
         let height = check
             .performer_height_m
             .map_or(String::new(), |height| format!(", the performer is {height:.2} m high"));
-        tracing::info!("the cameras fit each other{height}");
+        tracing::info!("the cameras fit each other{others}{height}");
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::time::Nanos;
+
+    #[test]
+    fn a_clock_that_runs_with_the_arrival_of_its_frames_has_the_right_rate() {
+        let drift = |rate: f64| {
+            let mut arrivals = Arrivals::default();
+            for frame in 0..300_u64 {
+                // Now and then the network is slow.
+                let late = if frame % 7 == 0 { 0.08 } else { 0.02 };
+                let arrival = Timestamp::of_frame(frame, 60.0) + Nanos::rounded(late * 1e9);
+                arrivals.add(Timestamp::of_frame(frame, 60.0 * rate), arrival);
+            }
+            arrivals.drift().unwrap()
+        };
+        assert!(drift(1.0).abs() < 1e-6);
+        assert!((drift(0.96) + 0.04).abs() < 0.001, "{}", drift(0.96));
+        assert_eq!(Arrivals::default().drift(), None);
+    }
 
     #[test]
     fn cameras_that_just_begin_are_not_judged_yet() {
