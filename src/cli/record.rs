@@ -121,8 +121,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if is_empty && !is_said {
         complain("warning", &nothing);
     }
-    let is_all = recorded.dropped + recorded.skipped + recorded.failed == 0 && !is_stopped;
-    let is_all = is_all && !is_empty;
+    let lost = recorded.dropped + recorded.skipped + recorded.failed;
+    let is_all = lost == 0 && !is_stopped && !is_empty;
     Ok(if is_all { Exit::Done } else { Exit::InPart })
 }
 

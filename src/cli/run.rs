@@ -238,7 +238,7 @@ impl Ready<'_> {
 #[cfg(feature = "view")]
 fn view(address: &str, config: &Config) -> Result<crate::view::Running, Failure> {
     let page = super::view::serve(address, super::view::live(config.clone()))?;
-    // Whatever is logged: nothing else has the token.
+    // Not a log line, which the log level may hide: only here is the token told.
     super::terminal::note(&format!("the page is on {}", page.url()));
     Ok(page)
 }

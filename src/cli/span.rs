@@ -34,7 +34,7 @@ impl SpanArguments {
         self.start.is_some() || self.end.is_some()
     }
 
-    /// The capture time of --start, if it is given.
+    /// The capture time of --start, if it is given and valid, without the frames before it that have the same timecode.
     pub(super) fn first(&self, of: &Times) -> Option<Timestamp> {
         self.start.as_ref().and_then(|text| of.time(text).ok())
     }

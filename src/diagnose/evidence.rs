@@ -83,7 +83,7 @@ impl Evidence {
         }
     }
 
-    /// The arrival of the frames tells that no camera's clock runs faster or slower than those of the others.
+    /// Tells that no camera's clock runs faster or slower than those of the others. Then no check names another frame rate.
     pub fn rates_are_right(&mut self) {
         self.have_right_rates = true;
     }

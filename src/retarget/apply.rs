@@ -180,16 +180,17 @@ impl Retarget {
         figure
     }
 
-    /// Where the target's hips are to be, metres; `figure` has them at the origin.
+    /// Where the target's hips are to be, metres, so that its hip joints are where ours are. `figure` has the hips at the
+    /// origin.
     fn hips_position(&self, fitted: &Fitted, posture: &Posture, figure: &Figure) -> Vector3<f64> {
-        let mut way = Vector3::zeros();
+        let mut hips = Vector3::zeros();
         for joint in [Joint::LHip, Joint::RHip] {
             let wanted = posture.positions[joint.index()] * fitted.scale;
             let own = self.mapping.joint(joint).map(|index| figure.positions[index]);
-            way += 0.5 * (wanted - own.unwrap_or_default());
+            hips += 0.5 * (wanted - own.unwrap_or_default());
         }
-        way.y += fitted.ankles[1] - fitted.scale * fitted.ankles[0];
-        way
+        hips.y += fitted.ankles[1] - fitted.scale * fitted.ankles[0];
+        hips
     }
 
     /// Computes the positions of all joints from their rotations and the position of the hips, metres.

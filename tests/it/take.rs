@@ -236,7 +236,6 @@ fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     }
 }
 
-/// A phone or Unreal: somebody else's messages, and what they get back.
 /// Not even the calibration comes on another stage.
 #[test]
 fn a_recorder_that_gets_nothing_says_so() {
@@ -249,6 +248,7 @@ fn a_recorder_that_gets_nothing_says_so() {
     assert_eq!(recorder.errors.matches("no messages on").count(), 1, "{}", recorder.errors);
 }
 
+/// A phone or Unreal: somebody else's messages, and what they get back.
 #[test]
 fn takes_are_begun_rated_and_ended_by_osc() {
     use vmc::rosc::{OscMessage, OscPacket, OscType, decoder, encoder};

@@ -42,21 +42,18 @@ impl Format {
         }
     }
 
-    /// The files that come beside a file of this format, and those that may be there from an export before. Two files of
-    /// a performer may share them.
-    pub(super) fn beside(self, path: &Path, one: &Motion, export: &Export) -> [Vec<PathBuf>; 2] {
-        let is_animation = matches!(self, Self::Bvh | Self::Glb | Self::Usda | Self::Mot);
-        let is_of_markers = matches!(self, Self::Trc | Self::C3d);
-        let states = is_animation.then(|| (side(path, STATES), export.lost == Lost::Mark));
-        let deviations = is_of_markers.then(|| (deviations_of(path), has_deviations(one)));
-        let both = states.into_iter().chain(deviations);
-        let (written, old): (Vec<_>, Vec<_>) = both.partition(|(_, is_written)| *is_written);
-        let [mut written, old] =
-            [written, old].map(|all| all.into_iter().map(|(p, _)| p).collect());
-        if self == Self::Bvh {
-            Vec::extend(&mut written, export.times.sidecar(path));
+    /// The files that may be beside a file of this format, and whether this export writes them. Two files of a
+    /// performer may share them.
+    pub(super) fn beside(self, path: &Path, one: &Motion, export: &Export) -> Vec<(PathBuf, bool)> {
+        match self {
+            Self::Bvh | Self::Glb | Self::Usda | Self::Mot => {
+                let states = (side(path, STATES), export.lost == Lost::Mark);
+                let timecode = (self == Self::Bvh).then(|| export.times.sidecar(path)).flatten();
+                [states].into_iter().chain(timecode.map(|path| (path, true))).collect()
+            }
+            Self::Trc | Self::C3d => vec![(deviations_of(path), has_deviations(one))],
+            _ => Vec::new(),
         }
-        [written, old]
     }
 }
 

@@ -187,11 +187,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let mut besides = Vec::new();
         for (path, format, write) in &of_one {
             let path = path_of(path, several.then_some(&one.actor));
-            let [written, not_written] = format.beside(&path, one, &export);
-            old.extend(not_written);
-            for beside in written {
-                if !besides.contains(&beside) {
-                    besides.push(beside);
+            for (beside, is_written) in format.beside(&path, one, &export) {
+                let all = if is_written { &mut besides } else { &mut old };
+                if !all.contains(&beside) {
+                    all.push(beside);
                 }
             }
             paths.push(path.clone());
@@ -206,12 +205,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     for (path, one, write) in files {
         say(&format!("{}: {}", path.display(), write(&path, one, &export)?));
     }
-    // That of `solve` is of the whole take, too.
-    let own = arguments.file.with_extension("states.csv");
-    old.sort_unstable();
-    old.dedup();
-    for path in old.iter().filter(|path| **path != own && !paths.contains(path) && path.exists()) {
-        complain("note", &format!("{} is of another export, not of this one", path.display()));
+    for path in old.iter().filter(|path| !paths.contains(path) && path.exists()) {
+        // Those of `solve` are beside the recording and have its name.
+        let stem = arguments.file.with_extension("");
+        if !path.to_string_lossy().starts_with(&format!("{}.", stem.display())) {
+            complain("note", &format!("{} is of another export, not of this one", path.display()));
+        }
     }
     Ok(exit_of(&arguments.file, &solved.damage))
 }

@@ -30,10 +30,10 @@ const AGAIN: Duration = Duration::from_secs(60);
 const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
 const CHANCE: Duration = Duration::from_secs(30);
-/// A clock that runs with the arrival of its frames within this part has no other rate.
+/// A camera's clock has the right rate if it agrees with the arrival of its frames within this part.
 const RIGHT_RATE: f64 = 0.01;
-/// Cameras are judged again after these times, the second one if something is wrong or a camera is not in use: who stands
-/// still shows no wrong clock, and a camera may be restarted.
+/// Cameras are judged again after this time; after the second one if something is wrong, or a camera is not in use. A
+/// performer who stands still shows no wrong clock, and a camera may be restarted.
 const REST: Duration = Duration::from_secs(60);
 const SHORT_REST: Duration = Duration::from_secs(15);
 
@@ -174,7 +174,7 @@ fn watch(
     Ok(None)
 }
 
-/// When the frames of a camera came, after their capture times.
+/// The capture times of a camera's frames, and how long after them the frames arrived, seconds.
 #[derive(Clone, Default)]
 struct Arrivals(Vec<(Timestamp, f64)>);
 
@@ -213,7 +213,7 @@ fn not_in_use(status: &wire::Status) -> Vec<&str> {
     cameras.map(|camera| camera.camera.as_str()).collect()
 }
 
-/// The cause of each fault, with its camera, and the cameras that are not in use: what is said once.
+/// The causes of all faults, with their cameras, and the cameras that are not in use. They are said when they change.
 fn causes(check: &Check, unused: &[&str]) -> Vec<String> {
     let of_camera = |camera: &CameraCheck| {
         let findings = camera.findings.iter();

@@ -2,11 +2,10 @@
 //!
 //! All are 0 where the body stands upright and faces forward (x of OpenSim), and legs and arms are straight and hang down.
 //! Rotations are about z (to the right), then x, then y (up). Positive are: flexion of hip, knee, elbow and arm,
-//! dorsiflexion, extension of
-//! the back, adduction, and for both sides rotation inwards. Rotations that a joint of those models does not have are
-//! left out: knees, elbows and ankles bend about one axis. The upper arm turns about its own axis until the elbow's one
-//! axis brings the forearm where it is. The pelvis' place is that of our joint, not of the origin of the models' pelvis.
-//! With a level arm two of its angles are not unique (Euler's singularity) and may change fast.
+//! dorsiflexion, extension of the back, adduction, and for both sides rotation inwards. Rotations that a joint of those
+//! models does not have are left out: knees, elbows and ankles bend about one axis. The upper arm turns about its own axis
+//! until the elbow's one axis brings the forearm where it is. The pelvis' place is that of our joint, not of the origin of
+//! the models' pelvis. With a level arm two of its angles are not unique (Euler's singularity) and may change fast.
 //!
 //! Source: Rajagopal et al., Full-body musculoskeletal model for muscle-driven simulation of human gait, 2016; the
 //! joints of `Rajagopal2016.osim`.
@@ -93,7 +92,7 @@ const HANGING: [[Joint; 2]; 8] = [
 /// Computes the angles of poses in order.
 struct Angles {
     style: Style,
-    /// By joint, the shortest turn from down to its bone in the rest pose.
+    /// By joint, the shortest turn from straight down to its bone in the rest pose.
     tilts: [Matrix3<f64>; JOINTS],
     /// The last angles, radians, so that the next ones go on without jumps of a turn.
     last: [[f64; 3]; CHAINS.len()],

@@ -23,8 +23,8 @@ use recognition::UNDECIDED;
 const DOUBTFUL: Nanos = Nanos::from_ms(120);
 /// A performer who is not seen for this long is lost, and a bystander is forgotten.
 const LOST: Nanos = Nanos::from_ms(1000);
-/// Two people who are not seen from about the same time on were lost at once: nobody has walked out.
-const AT_ONCE: Nanos = Nanos::from_ms(100);
+/// Two people who were seen last within this time were lost at once: the cameras stopped, nobody walked out.
+const LOST_AT_ONCE: Nanos = Nanos::from_ms(100);
 /// A performer who is not seen for this long may be where a newcomer is.
 const ELSEWHERE: Nanos = Nanos::from_ms(150);
 /// A person counts as away only after this many frame periods.
@@ -83,8 +83,8 @@ struct Absent {
     is_unwanted: bool,
     /// Whether the last place is in the world of another calibration.
     is_elsewhere: bool,
-    /// Whether people were lost at once, as at the start of a take or where all cameras stop: who is in view stays where
-    /// it was.
+    /// Whether others were lost at the same time, as at the start of a take or where all cameras stop: people stay about
+    /// where they were.
     is_interrupted: bool,
 }
 
@@ -143,8 +143,8 @@ pub(super) struct People {
     pub(super) choice: Choice,
     members: Vec<Member>,
     absent: Vec<Absent>,
-    /// When the last one who is lost was seen last.
-    lost: Option<Timestamp>,
+    /// When the one who was lost last was seen.
+    last_lost: Option<Timestamp>,
     /// Number of performers so far.
     known: usize,
     pub(super) names: Names,
@@ -169,7 +169,7 @@ impl People {
             choice: Choice::default(),
             members: Vec::new(),
             absent: Vec::new(),
-            lost: None,
+            last_lost: None,
             known: 0,
             names: Names::default(),
             reuses_numbers: false,
@@ -400,12 +400,12 @@ impl People {
         };
         let is_somebody = |member: &&Member| !matches!(member.role, Role::Candidate(_));
         let members = self.members.iter().filter(is_somebody).map(|member| member.person.seen);
-        let seen: Vec<Timestamp> = members.chain(self.lost).collect();
+        let seen: Vec<Timestamp> = members.chain(self.last_lost).collect();
         for member in self.members.extract_if(.., is_gone).filter(|member| is_somebody(&member)) {
             let person = member.person;
-            self.lost = Some(person.seen);
+            self.last_lost = Some(person.seen);
             if let Role::Performer(performer) = member.role {
-                let is_near = |other: &&Timestamp| (**other - person.seen).abs() < AT_ONCE;
+                let is_near = |other: &&Timestamp| (**other - person.seen).abs() < LOST_AT_ONCE;
                 let is_interrupted = seen.iter().filter(is_near).count() > 1;
                 self.absent.push(Absent { is_interrupted, ..Absent::new(performer, person) });
             }

@@ -19,7 +19,7 @@ const AWAY_M_S: f64 = 3.0;
 /// metres.
 const INTERRUPTED: Nanos = Nanos::from_ms(1500);
 const IN_PLACE_M: f64 = 0.5;
-/// After a longer one, of up to this time, a performer is expected where people walk to, m/s.
+/// After an interruption of up to this time, a performer is expected as far from its last place as people walk, m/s.
 const SOON: Nanos = Nanos::from_ms(5000);
 const WALK_M_S: f64 = 1.5;
 /// Nobody else can come so near so soon, whatever the lengths say: time and metres.
@@ -152,11 +152,10 @@ impl People {
                 && one.person.lengths.difference(&person.lengths).is_none()
         };
         let is_undecided = !person.is_seen_for(UNDECIDED);
-        let gate =
-            |place: usize| match !self.has_place() || self.absent[place].is_expected_as(person) {
-                true => EXPECTED_BODY,
-                false => SAME_BODY,
-            };
+        let gate = |place: usize| {
+            let is_expected = !self.has_place() || self.absent[place].is_expected_as(person);
+            if is_expected { EXPECTED_BODY } else { SAME_BODY }
+        };
         match self.most_alike(index, at) {
             Some((place, difference)) if difference < gate(place) => Verdict::Known(place),
             Some(_) if is_undecided => Verdict::Unsure,
@@ -297,7 +296,7 @@ impl Absent {
         !self.has_left && (self.merged.is_none() || is_one())
     }
 
-    /// Whether everybody was lost at once, not long before a candidate came where this performer may have walked to.
+    /// Whether the performer was lost together with others, and a candidate is soon where it may have walked to.
     fn is_expected_as(&self, candidate: &Person) -> bool {
         let gap = candidate.first - self.person.seen;
         let reach = AWAY_M + WALK_M_S * gap.seconds();
