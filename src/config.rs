@@ -49,7 +49,7 @@ impl TimecodeConfig {
     /// An unknown rate, or no such offset.
     pub fn house(&self) -> Result<Option<House>, TimecodeError> {
         match self.rate.as_str() {
-            "" => Ok(None),
+            "" if self.offset.is_empty() => Ok(None),
             rate => House::new(rate, &self.offset).map(Some),
         }
     }

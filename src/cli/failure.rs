@@ -189,7 +189,7 @@ impl From<offline::Error> for Failure {
             E::Recording(error) => return error.into(),
             E::Export(error) => return error.into(),
             E::NoKeypoints { .. } | E::NoRig { .. } => Exit::NotOurs,
-            E::EmptySpan { .. } => Exit::Usage,
+            E::EmptySpan { .. } | E::FewCameras { .. } => Exit::Usage,
             E::KeypointFormat { .. } => Exit::KeypointFormat,
             E::BadRig { .. } | E::ImageSize { .. } | E::Rig { .. } => Exit::BadCalibration,
             E::Uncalibrated { .. } | E::NoSuchCamera { .. } | E::SilentCamera { .. } => {

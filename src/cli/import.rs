@@ -51,8 +51,8 @@ otherwise. Files without such a name are given to the other cameras by order. If
 they are exchanged, and the list says so. Without --unit, the performer's height corrects the unit;
 without --up, the performer tells the up axis where nothing else does.
 
-At the end the recording is checked as `bundlemocap check` does. A broken, cut or empty file is a
-missing frame. It is counted, and the first ten of each camera are named.
+At the end the recording is checked as `bundlemocap check` does. A broken, cut or empty file of a frame
+is a missing frame. It is counted, and the first ten of each camera are named.
 
 Examples:
   bundlemocap import Trial_1 --calibration Calib.toml --out trial.mcap
@@ -208,7 +208,7 @@ fn frame_rate(arguments: &Arguments, folder: &Path) -> Result<f64, Failure> {
     }
     let Some((fps, file)) = frame_rate_beside(folder)? else {
         let message = format!(
-            "{}: the frame rate is not known: no Config.toml, no MP4 video; give --fps, such as --fps 60",
+            "{}: the frame rate is not known: no Config.toml with a number, no MP4 video; give --fps, such as --fps 60",
             folder.display()
         );
         return Err(Failure::new(Exit::Usage, message));
@@ -283,7 +283,16 @@ impl Imported {
         bar.finish_and_clear();
         if !has_rig {
             folder.notes().iter().for_each(|note| complain("note", note));
-            return Err(ImportError::NoPeople { path: path.to_owned() }.into());
+            let broken: u64 = folder.reports().iter().map(|report| report.broken_files).sum();
+            let path = path.to_owned();
+            return Err(match broken {
+                0 => ImportError::NoPeople { path },
+                _ => {
+                    let what = format!("none of its {broken} files can be read");
+                    ImportError::NotDetections { path, what }
+                }
+            }
+            .into());
         }
         let both = folder.matches().iter().zip(folder.reports());
         let in_shares = both.filter(|(_, report)| report.shares);

@@ -9,7 +9,7 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, open, topics};
 use super::clock::{ATTENTION, Stop};
-use super::failure::Exit;
+use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, check_ending};
 use super::terminal::{complain, note, say, table, ticker};
 use crate::cli::tools::inbox::{Inbox, Received};
@@ -43,8 +43,8 @@ file is readable up to its last second. Recording stops before the disk is full.
 recorder publishes the free space of its disk. These messages are not recorded.
 
 `bundlemocap take start NAME` begins NAME.mcap beside FILE, with a journal of its own, and `take stop`
-ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. If FILE is a folder, or ends with /, only
-takes are recorded; the folder is created if missing.
+ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. A take that runs already is recorded from
+there on. If FILE is a folder, or ends with /, only takes are recorded; the folder is created if missing.
 
 Examples:
   bundlemocap record take1.mcap
@@ -74,9 +74,16 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         arguments.overwrite.check(path)?;
     }
     let config = arguments.bus.settings()?;
+    let topics = topics(&config);
+    if arguments.bus.actor().is_some() {
+        let text = format!(
+            "--actor: all performers are recorded; choose one with --topics '{}'",
+            topics.pose().replace("/pose", "/**")
+        );
+        return Err(Failure::new(Exit::Usage, text));
+    }
     let bus = open(&config)?;
     let stop = Stop::on_signals()?;
-    let topics = topics(&config);
     let pattern = arguments.topics.clone().unwrap_or_else(|| topics.all());
     let mut patterns = vec![pattern.clone()];
     patterns.extend(Some(topics.take()).filter(|take| !matches(&pattern, take)));
@@ -201,7 +208,7 @@ fn record(
                 if let Some(take) = slate {
                     answers.say(recorder.slate(&take, arrival)?);
                 }
-                recorder.write(entry(received))?;
+                answers.say(recorder.write(entry(received))?);
             }
             None if stop.is_set() || is_full => break,
             None => {}

@@ -92,7 +92,19 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         true => verdict(arguments, &messages, &replayed, &topics.pose())?,
         false => Exit::Done,
     };
-    let Some(Gap { what, after }) = &replayed.gap else { return Ok(exit) };
+    let others = replayed.others.join(", ");
+    // The run was not chosen, but is that of the file's take.
+    let is_part = arguments.run.is_none() && !others.is_empty();
+    if is_part {
+        let file = arguments.file.display();
+        let text = format!(
+            "{file}: the node was started again; replay its other runs with --run: {others}"
+        );
+        complain("warning", &text);
+    }
+    let Some(Gap { what, after }) = &replayed.gap else {
+        return Ok(if is_part { Exit::InPart } else { exit });
+    };
     let (inputs, seconds) = (replayed.inputs, after.seconds());
     let text = format!(
         "{}: {what} is missing {seconds:.3} s after the start; replayed up to there, {inputs} \

@@ -130,7 +130,10 @@ impl Times {
                 Ok(self.first + Nanos::rounded((seconds * 1e9).round()))
             }
             _ => {
-                Err("give seconds since the first frame, frames such as 120f, or a timecode such as 01:00:00:00".into())
+                let frames = if self.rate.is_some() { " frames such as 120f," } else { "" };
+                Err(format!(
+                    "give seconds since the first frame,{frames} or a timecode such as 01:00:00:00"
+                ))
             }
         }
     }

@@ -50,6 +50,8 @@ struct Manifest {
 #[serde(deny_unknown_fields)]
 struct NotSolved {
     error: String,
+    #[serde(default)]
+    exit_code: Option<i32>,
 }
 
 /// A file's length and hash.
@@ -270,7 +272,9 @@ impl Shelf<'_> {
             Ok((_, manifest)) => json(manifest)?,
             // A solve that fails leaves the files as they were.
             Err(_) if before.is_some() => text,
-            Err(failure) => json(&NotSolved { error: failure.line() })?,
+            Err(failure) => {
+                json(&NotSolved { error: failure.line(), exit_code: Some(failure.exit as i32) })?
+            }
         };
         let mut write = || {
             file.set_len(0)?;
@@ -353,34 +357,40 @@ pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
         takes.insert(name, manifest.zip(summary).ok_or_else(|| not_solved(&text)));
     }
     if takes.is_empty() {
-        let message = format!("{} holds no solved takes", arguments.folder.display());
+        let folder = arguments.folder.display();
+        let message =
+            format!("{folder} holds no solved takes; give the --out of `solve` of several takes");
         return Err(Failure::new(Exit::NotOurs, message));
     }
     if arguments.json {
-        let of = |take: &Result<(Manifest, Value), String>| {
-            take.as_ref().ok().map(|(_, summary)| summary.clone())
+        let of = |take: &Result<(Manifest, Value), NotSolved>| match take {
+            Ok((manifest, summary)) => {
+                let mut summary = summary.clone();
+                summary["exit_code"] = manifest.exit_code.into();
+                summary
+            }
+            Err(reason) => serde_json::json!(reason),
         };
         let all: BTreeMap<_, _> = takes.iter().map(|(name, take)| (name, of(take))).collect();
         say(&json(&all)?);
     } else {
         let rows = takes.iter().flat_map(|(name, take)| match take {
             Ok((manifest, summary)) => rows(name, summary, manifest.exit_code),
-            Err(reason) => vec![(name.clone(), format!("not solved: {reason}"))],
+            Err(reason) => vec![(name.clone(), format!("not solved: {}", reason.error))],
         });
         say(&table(&rows.collect::<Vec<_>>()));
     }
-    let is_whole = |take: &Result<(Manifest, Value), String>| {
+    let is_whole = |take: &Result<(Manifest, Value), NotSolved>| {
         take.as_ref().is_ok_and(|(manifest, _)| manifest.exit_code == Exit::Done as i32)
     };
     Ok(if takes.values().all(is_whole) { Exit::Done } else { Exit::InPart })
 }
 
 /// Why a take is not solved. `text` is what is in place of its manifest.
-fn not_solved(text: &str) -> String {
-    match serde_json::from_str::<NotSolved>(text) {
-        Ok(NotSolved { error }) => error,
-        Err(_) => "it was interrupted, is being solved, was solved by another version, or its summary.json is missing".to_owned(),
-    }
+fn not_solved(text: &str) -> NotSolved {
+    let unknown = "it was interrupted, is being solved, was solved by another version, or its summary.json is missing";
+    let unknown = || NotSolved { error: unknown.to_owned(), exit_code: None };
+    serde_json::from_str(text).unwrap_or_else(|_| unknown())
 }
 
 /// A row for each performer of a take. `exit`: the exit code of its solve.

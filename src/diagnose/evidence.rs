@@ -192,18 +192,26 @@ impl Evidence {
         let mut enough: Vec<&Seen> = self.performers.iter().filter(is_enough).collect();
         enough.sort_by(|a, b| b.footage.movement().total_cmp(&a.footage.movement()));
         let is_crowd = several as f64 > SEVERAL * all as f64;
+        let judged = |alone: &Footage, footage: &Footage| {
+            let mut check = check(&self.largest, alone, footage, rig);
+            for (camera, people) in check.cameras.iter_mut().zip(&self.with_people) {
+                camera.sees_people = *people as f64 > least;
+            }
+            check
+        };
         let Some((mover, others)) = enough.split_first().filter(|_| is_crowd) else {
-            return check(&self.largest, &self.largest, &self.largest, rig);
+            return Check::of_performers(vec![judged(&self.largest, &self.largest)]);
         };
         let is_odd = |camera: usize| enough.iter().all(|one| one.is_odd(camera));
         let check_by = |Seen { footage, .. }: &Seen| {
             let alone = footage.with(&self.largest, is_odd);
-            check(&self.largest, &alone, &footage.with(&self.everybody, is_odd), rig)
+            judged(&alone, &footage.with(&self.everybody, is_odd))
         };
         let by_mover = check_by(mover);
-        if by_mover.is_clean() || by_mover.tells_of_motion() {
+        if by_mover.is_of_all() || by_mover.tells_of_motion() {
             return by_mover;
         }
-        others.iter().map(|other| check_by(other)).fold(by_mover, Check::joined)
+        let by_others = others.iter().map(|other| check_by(other));
+        Check::of_performers(std::iter::once(by_mover).chain(by_others).collect())
     }
 }

@@ -4,18 +4,23 @@ use std::cmp::Reverse;
 
 use super::consensus::{FAR, MEMBER, Points, Scene, errors};
 
+/// Orders that are looked at closely: somebody else may be where the performer of a wrong pair seems to be.
+const MOST_ORDERS: usize = 6;
+
 impl Scene<'_> {
-    /// For each camera the index of the calibration with which most cameras agree, if all change
-    /// places; and the sum of the cameras' support.
-    pub(super) fn permute(&self) -> Option<(Vec<usize>, f64)> {
+    /// For each camera the index of a calibration, if all change places: the orders in which most cameras seem to agree, the
+    /// best first.
+    pub(super) fn orders(&self) -> Vec<Vec<usize>> {
         let n = self.cameras();
         let seen = |camera: usize| self.views.iter().filter(|at| !at[camera].is_empty()).count();
         let mut busiest: Vec<usize> = (0..n).collect();
         busiest.sort_by_key(|&camera| Reverse(seen(camera)));
-        let pair = [*busiest.first()?, *busiest.get(1)?];
+        let &[first, second, ..] = &busiest[..] else { return Vec::new() };
         let given = (0..n).flat_map(|i| (0..n).map(move |j| [i, j])).filter(|[i, j]| i != j);
-        let tried = given.filter_map(|given| self.complete(pair, given));
-        tried.max_by(|a, b| a.1.total_cmp(&b.1))
+        let tried = given.filter_map(|given| self.complete([first, second], given));
+        let mut tried: Vec<(Vec<usize>, f64)> = tried.collect();
+        tried.sort_by(|a, b| b.1.total_cmp(&a.1));
+        tried.into_iter().take(MOST_ORDERS).map(|(order, _)| order).collect()
     }
 
     /// The best calibrations of the other cameras, given those of a pair.

@@ -248,8 +248,12 @@ fn exchanged<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
     if scene.cameras() > MOST_PERMUTED {
         return None;
     }
-    let (order, _) = scene.permute()?;
-    let readings = scene.readings.iter().zip(&order);
+    let tried = scene.orders().into_iter().filter_map(|order| in_order(scene, cameras, &order));
+    tried.max_by(|a, b| a.score().total_cmp(&b.score()))
+}
+
+fn in_order<'a>(scene: &Scene<'a>, cameras: &[Camera], order: &[usize]) -> Option<Judged<'a>> {
+    let readings = scene.readings.iter().zip(order);
     let readings = readings
         .map(|(reading, &k)| Reading { camera: cameras[k].clone(), ..reading.clone() })
         .collect();

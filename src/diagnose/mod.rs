@@ -47,6 +47,8 @@ const INSTANTS: usize = 60;
 const LOOSELY_PERCENT: f64 = 60.0;
 /// A check in which fewer points agree does not clear a camera that another check finds wrong.
 const LEAST_PERCENT: f64 = 30.0;
+/// Of a camera that is somewhere else, a smaller share agrees.
+const NONE_PERCENT: f64 = 10.0;
 /// If no two cameras agree at more than this part of the times at which two see somebody, something is wrong.
 const MOST_DISAGREEING: f64 = 0.15;
 /// The order of the keypoints is wrong if another one makes the limbs this much less strange.
@@ -92,6 +94,9 @@ pub struct CameraCheck {
     /// What is wrong with its capture times, if that is its fault.
     #[serde(skip)]
     pub(crate) times: Option<WrongTimes>,
+    /// Whether it sees people about as often as other cameras do.
+    #[serde(skip)]
+    pub(crate) sees_people: bool,
 }
 
 impl Check {
@@ -172,6 +177,42 @@ impl Check {
         findings.any(|finding| MOTION.contains(&finding.cause))
     }
 
+    /// Whether all cameras that see people agree on one of them.
+    fn is_of_all(&self) -> bool {
+        let is_in = |camera: &CameraCheck| !camera.sees_people || camera.agrees();
+        self.is_clean() && self.cameras.iter().all(is_in)
+    }
+
+    /// Combines the checks by several performers, the most important first. Performers whom different cameras see may be one
+    /// person in two places: of a camera that shares no performer with the first one's cameras, that is said.
+    fn of_performers(mut checks: Vec<Self>) -> Self {
+        let agreeing = |check: &Self| -> Vec<usize> {
+            let cameras = check.cameras.iter().enumerate();
+            cameras.filter(|(_, camera)| camera.agrees()).map(|(camera, _)| camera).collect()
+        };
+        let mut groups: Vec<Vec<usize>> = checks.iter().map(agreeing).collect();
+        let mut first = groups.remove(0);
+        let shares = |all: &[usize], group: &Vec<usize>| group.iter().any(|one| all.contains(one));
+        while let Some(at) = groups.iter().position(|group| shares(&first, group)) {
+            first.extend(groups.swap_remove(at));
+        }
+        let mover = checks.remove(0);
+        let mut all = checks.into_iter().fold(mover, Self::joined);
+        for (index, camera) in all.cameras.iter_mut().enumerate() {
+            let is_apart = camera.sees_people && !first.contains(&index) && first.len() > 1;
+            if is_apart && camera.findings.is_empty() {
+                // They are of its agreement with others who are apart.
+                (camera.agreeing_percent, camera.error_px) = (None, None);
+                camera.findings.push(Finding::new(
+                    "apart",
+                    "nobody whom it sees is where other cameras see somebody",
+                    "is its calibration of this take, does its clock agree, and does it look at the same place?",
+                ));
+            }
+        }
+        all
+    }
+
     /// Combines the checks by two performers. A camera that fits in one of them is right.
     fn joined(self, other: Self) -> Self {
         if self.findings.len() != other.findings.len() {
@@ -226,6 +267,11 @@ impl CameraCheck {
             && self.agreeing_percent.is_some_and(|percent| percent >= LOOSELY_PERCENT)
     }
 
+    /// Whether nothing is wrong with it, and some of its points fit.
+    fn agrees(&self) -> bool {
+        self.findings.is_empty() && self.agreeing_percent.unwrap_or(0.0) >= NONE_PERCENT
+    }
+
     /// The verdict in words.
     pub fn verdict(&self) -> String {
         if self.findings.is_empty() {
@@ -257,6 +303,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             findings: order::findings(frames, alone, &rig.cameras, camera),
             mean_error: None,
             times: None,
+            sees_people: false,
         })
         .collect();
     let Some(mut judged) = judge(&scene, &rig.cameras) else {

@@ -53,6 +53,8 @@ const MODELS: [Model; 10] = [
     (&MOVE, 1.3, &[1.0]),
     (&PLACE, 1.5, &[1.0]),
 ];
+/// Before a camera was turned and moved so far, degrees and centimetres, its images are rather those of another camera.
+const CARRIED: (f64, f64) = (45.0, 100.0);
 const LAST: Model = (&PLACE_AND_FOCAL, 1.6, &[1.0]);
 
 /// A reading with other parameters. `pixel` maps its pixels.
@@ -220,7 +222,8 @@ fn describe(before: &Reading, after: &Reading, free: &[Free], values: &[f64]) ->
                 _ => "turned_and_moved",
             };
             let what = format!("it was {} since its calibration", parts.join(" and "));
-            (Finding::new(cause, what, again), 1.0)
+            let is_far = degrees > CARRIED.0 && cm > CARRIED.1;
+            (Finding::new(cause, what, again), if is_far { 2.0 } else { 1.0 })
         }
     }
 }

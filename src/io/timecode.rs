@@ -82,7 +82,8 @@ impl Rate {
     /// # Errors
     /// The text is no timecode, or its number is left out at this rate.
     pub fn frame(self, text: &str) -> Result<i64, TimecodeError> {
-        let wrong = |reason: &'static str| TimecodeError { text: text.to_owned(), reason };
+        let what = "timecode";
+        let wrong = |reason: &'static str| TimecodeError { what, text: text.to_owned(), reason };
         let parts: Vec<&str> = text.split([':', ';', '.']).collect();
         let is_number = |part: &&str| part.len() <= 3 && part.bytes().all(|b| b.is_ascii_digit());
         let numbers: Vec<i64> = parts
@@ -118,7 +119,8 @@ impl FromStr for Rate {
         let known = RATES.iter().find(|(name, _)| name.eq_ignore_ascii_case(text));
         let reason =
             "use 23.976, 24, 25, 29.97, 29.97df, 30, 47.952, 48, 50, 59.94, 59.94df, 60 or 100";
-        known.map(|(_, rate)| *rate).ok_or(TimecodeError { text: text.to_owned(), reason })
+        let what = "rate";
+        known.map(|(_, rate)| *rate).ok_or(TimecodeError { what, text: text.to_owned(), reason })
     }
 }
 
@@ -140,7 +142,7 @@ impl House {
     pub fn new(rate: &str, offset: &str) -> Result<Self, TimecodeError> {
         let rate: Rate = rate.parse()?;
         let reason = "write a timecode and its capture time, such as 01:00:00:00 at 1795252800.25";
-        let wrong = TimecodeError { text: offset.to_owned(), reason };
+        let wrong = TimecodeError { what: "offset", text: offset.to_owned(), reason };
         let (timecode, seconds) = offset.split_once(" at ").ok_or_else(|| wrong.clone())?;
         let at = nanoseconds(seconds.trim()).ok_or(wrong)?;
         Ok(Self { rate, frame: rate.frame(timecode.trim())?, at: Timestamp::from_ns(at) })
@@ -196,8 +198,9 @@ fn nanoseconds(seconds: &str) -> Option<i64> {
 
 /// A text that is no timecode, rate or offset.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("timecode {text:?}: {reason}")]
+#[error("{what} {text:?}: {reason}")]
 pub struct TimecodeError {
+    what: &'static str,
     text: String,
     reason: &'static str,
 }

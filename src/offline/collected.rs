@@ -62,12 +62,14 @@ impl Collected {
         skeleton: &Skeleton,
         poses: PoseSummary,
         seconds: f64,
+        is_alone: bool,
     ) -> (Self, Summary) {
         let comparisons = std::mem::take(&mut self.comparisons);
         let held_out: Vec<HoldOut> =
             comparisons.held_out.into_iter().map(HeldOut::finish).collect();
         let frames = self.poses.count;
-        let truth = poses.fps.and_then(|fps| comparisons.truths.nearest(skeleton, fps));
+        let most_mm = if is_alone { f64::INFINITY } else { SOMEBODY_ELSE_MM };
+        let truth = poses.fps.and_then(|fps| comparisons.truths.nearest(skeleton, fps, most_mm));
         let (truth, true_skate) = truth.unzip();
         let references = comparisons.references.iter().filter_map(|reference| reference.finish());
         let summary = Summary {
@@ -104,6 +106,11 @@ impl Collected {
     }
 }
 
+/// Of several performers, one who is farther from a true one is somebody else.
+const SOMEBODY_ELSE_MM: f64 = 500.0;
+/// Among several people, a performer may need so many frames to be found.
+const FEW_FRAMES: u64 = 10;
+
 /// The error if no performer was found. `others`: most people at a time who were seen and are not performers.
 pub(super) fn nobody(
     all: &[Collected],
@@ -122,6 +129,14 @@ pub(super) fn nobody(
         return Error::NobodyFound { path, evidence };
     }
     let lost = all.iter().map(|one| one.windows.lost as u64).sum::<u64>();
+    let (tried, frames) = (count(EventKind::NobodyFound) + lost, recording.frames());
+    if tried == 0 && frames < FEW_FRAMES {
+        let evidence = format!(
+            "it has {frames} frames of a camera, too few to tell who is a performer; with one performer, a frame is \
+             enough"
+        );
+        return Error::NobodyFound { path, evidence };
+    }
     let unusable = match count(EventKind::Unusable) {
         0 => String::new(),
         unusable => format!(", {unusable} frames could not be used"),
@@ -130,7 +145,7 @@ pub(super) fn nobody(
         "no performer is seen by two of the {} cameras at once ({} windows tried{unusable}{}); \
          check the calibration, the keypoint format ({}) and that the cameras share a clock",
         rig.cameras.len(),
-        count(EventKind::NobodyFound) + lost,
+        tried,
         out_of_time(count(EventKind::Late), count(EventKind::Duplicate)),
         recording.format(),
     );

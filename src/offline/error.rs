@@ -41,6 +41,10 @@ pub enum Error {
     #[error("{}: {source}", path.display())]
     Rig { path: PathBuf, source: CameraError },
     #[error(
+        "{}: --cameras and --hold-out leave {left} of {all} cameras; two are needed", path.display()
+    )]
+    FewCameras { path: PathBuf, left: usize, all: usize },
+    #[error(
         "{}: no calibration for camera {camera}; add it to the calibration and import again",
         path.display()
     )]

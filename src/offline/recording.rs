@@ -11,7 +11,7 @@ use prost::Name;
 use super::Error;
 use super::in_order::InOrder;
 use crate::core::body::{Skeleton, StampedPose};
-use crate::core::camera::{Camera, Rig};
+use crate::core::camera::{Camera, CameraError, Rig};
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{FramePeriod, FrameRate, RATE_FRAMES, UnitCheck};
@@ -251,7 +251,13 @@ impl Recording {
         if let Some(camera) = silent {
             return Err(Error::SilentCamera { path: path(), camera: camera.name.clone() });
         }
-        let rig = rig.map_err(|source| Error::Rig { path: path(), source })?;
+        let all = self.rig.cameras.len();
+        let rig = rig.map_err(|source| match source {
+            CameraError::TooFewCameras { found: left } if all > 1 => {
+                Error::FewCameras { path: path(), left, all }
+            }
+            source => Error::Rig { path: path(), source },
+        })?;
         Ok((rig, held_out.into_iter().cloned().collect()))
     }
 

@@ -138,11 +138,19 @@ pub fn solve_group(
     let mut pages = Vec::new();
     for ((one, skeleton), poses) in solved.zip(summaries) {
         let states = poses.states.csv();
-        let (one, summary) = one.summarise(recording, &rig, skeleton, poses, seconds);
+        let is_alone = options.performers.limit() == 1;
+        let fits = one.windows.cameras.iter().zip(&check.cameras);
+        let fit_notes: Vec<String> =
+            fits.filter_map(|(errors, check)| errors.note(check)).collect();
+        let (one, summary) = one.summarise(recording, &rig, skeleton, poses, seconds, is_alone);
         let mut summary = Summary { time_offsets: offsets.clone(), frames_recorded, ..summary };
         summary.notes.extend(silent.iter().cloned().chain(recording.rig_note()));
         summary.notes.extend(notes.iter().map(|note| format!("{note}; its times are corrected")));
         summary.notes.extend(check.warnings());
+        // Somebody of several may not be seen by all.
+        if is_alone {
+            summary.notes.extend(fit_notes);
+        }
         if !options.references.is_empty() {
             summary.notes.extend(Reference::note(summary.reference.as_ref(), false));
         }
@@ -153,7 +161,7 @@ pub fn solve_group(
         summary.notes.extend(rate_note(options.config.frame_rate_hz, period));
         summary.notes.extend(order_note(&summary, all_frames));
         // Of several, some enter late or leave. With another frame rate there are other numbers of poses.
-        if options.performers.limit() == 1 && options.config.frame_rate_hz == 0.0 {
+        if is_alone && options.config.frame_rate_hz == 0.0 {
             summary.notes.extend(missing_note(&summary));
         }
         if let Some(Outputs { folder, .. }) = &outputs {

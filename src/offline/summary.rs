@@ -70,7 +70,6 @@ pub struct Summary {
     /// What was lost from the recording.
     pub damage: Vec<String>,
     /// Other notes for the user.
-    #[serde(skip)]
     pub notes: Vec<String>,
 }
 

@@ -33,14 +33,16 @@ impl TruthComparisons {
         self.0.values_mut().for_each(|truth| truth.add_pose(pose, skeleton, fps));
     }
 
-    /// The errors and the foot skate of the actor who is nearest on average; `None` if nothing could be
-    /// compared.
+    /// The errors and the foot skate of the actor who is nearest on average, if nearer than `most_mm`; `None` if nothing could
+    /// be compared.
     pub(super) fn nearest(
         self,
         skeleton: &Skeleton,
         fps: f64,
+        most_mm: f64,
     ) -> Option<(PoseErrors, Option<FootSkate>)> {
         let all = self.0.into_values().filter_map(|truth| truth.finish(skeleton, fps));
+        let all = all.filter(|(errors, _)| errors.mpjpe_mm <= most_mm);
         all.min_by(|a, b| a.0.mpjpe_mm.total_cmp(&b.0.mpjpe_mm))
     }
 }

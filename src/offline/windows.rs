@@ -6,6 +6,7 @@ use super::series::{Bin, Mean, Series};
 use crate::core::points::CONFIDENT;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Residual, Verdict, WindowReport};
+use crate::diagnose::CameraCheck;
 use crate::metrics::statistics::percentiles;
 use crate::metrics::{Distribution, FollowedSums};
 
@@ -32,11 +33,16 @@ impl Bin for WindowSummary {
     }
 }
 
+/// Median errors above this part of the performer's height are no errors of a detector.
+const FAR: f64 = 0.05;
+
 /// Reprojection errors of a camera in windows that are not lost, pixels.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CameraErrors {
     /// Of every confident point.
     pub(crate) all: Distribution,
+    /// The same as parts of the performer's height in the image.
+    relative: Distribution,
     /// Quartiles of every frame.
     pub(crate) frames: Series<Mean<Timestamp, 3>>,
 }
@@ -57,6 +63,27 @@ pub(crate) struct Windows {
     pub(crate) errors_px: Distribution,
     /// By camera.
     pub(crate) cameras: Vec<CameraErrors>,
+}
+
+impl CameraErrors {
+    /// A note if the camera, of which a check says nothing else, does not see the performer where the poses are.
+    pub(crate) fn note(&self, check: &CameraCheck) -> Option<String> {
+        if !check.findings.is_empty() {
+            return None;
+        }
+        let camera = &check.camera;
+        match (self.all.median(), self.relative.median()) {
+            (Some(px), Some(relative)) if relative > FAR => Some(format!(
+                "camera {camera}: its points are {px:.0} px from the poses, {:.0} % of the performer's height in its \
+                 image: is its calibration of this take?",
+                100.0 * relative
+            )),
+            (None, _) if check.sees_people => {
+                Some(format!("camera {camera}: it sees people, but none of them is at the poses"))
+            }
+            _ => None,
+        }
+    }
 }
 
 impl Windows {
@@ -95,6 +122,7 @@ impl Windows {
                 // In single precision, like the results of earlier versions.
                 let error = f64::from(residual.error_px as f32);
                 errors.all.add(error);
+                errors.relative.add(residual.error_relative);
                 self.errors_px.add(error);
             }
             for frame in seen.chunk_by(|a, b| a.capture == b.capture) {

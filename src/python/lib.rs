@@ -16,9 +16,14 @@ use pyo3::types::{PyDict, PyList};
 
 create_exception!(bundlemocap, Error, PyException, "Why something cannot be done, and the fix.");
 
-/// The error for Python.
+/// The error for Python. Where it names an option of the command, such as `--overwrite`, that is an argument.
 fn error(error: impl std::fmt::Display) -> PyErr {
-    Error::new_err(error.to_string())
+    let text = error.to_string();
+    let words = text.split(' ').map(|word| match word.strip_prefix("--") {
+        Some(option) => option.replace('-', "_"),
+        None => word.to_owned(),
+    });
+    Error::new_err(words.collect::<Vec<_>>().join(" "))
 }
 
 /// Warns of what may be wrong with a file, or was lost of it.

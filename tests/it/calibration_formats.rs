@@ -553,6 +553,64 @@ fn text_of_colmap_is_read() {
     }
 }
 
+#[test]
+fn binaries_and_several_images_of_a_camera_of_colmap_are_said() {
+    let (folder, path) = file("cameras.bin", b"\x01\x00");
+    for path in [path.as_path(), folder.path()] {
+        let error = read_calibration(path, &Convention::default()).unwrap_err().to_string();
+        assert!(error.contains("colmap model_converter"), "{error}");
+    }
+    let (folder, path) = file(
+        "cameras.txt",
+        "1 PINHOLE 640 480 500 500 320 240\n2 PINHOLE 640 480 500 500 320 240\n",
+    );
+    let images = |x: f64| {
+        let image = |id: usize, x: f64, camera: usize, name: &str| {
+            format!("{id} 1 0 0 0 {x} 0 3 {camera} {name}\n\n")
+        };
+        image(1, 0.0, 1, "cam01/0001.png")
+            + &image(2, x, 1, "cam01/0002.png")
+            + &image(3, 1.0, 2, "cam02/0001.png")
+    };
+    fs::write(folder.path().join("images.txt"), images(0.0)).unwrap();
+    assert_eq!(read(&path).rig.cameras.len(), 2);
+    fs::write(folder.path().join("images.txt"), images(0.5)).unwrap();
+    let error = read_calibration(&path, &Convention::default()).unwrap_err().to_string();
+    assert!(error.contains("the images of cam01 have different poses"), "{error}");
+}
+
+#[test]
+fn yaml_of_a_stereo_pair_of_opencv_is_read() {
+    let rig = rig();
+    let [first, second] = [0, 1].map(|i| InFile::all(&rig, Up::MinusY, 1.0).swap_remove(i));
+    // The pose of the second camera in the first one.
+    let (r1, r2) = (&rig.cameras[0], &rig.cameras[1]);
+    let turn = r2.rotation * r1.rotation.transpose();
+    let along = r2.translation - turn * r1.translation;
+    let inside = |camera: &InFile, number: usize| {
+        opencv(&format!("M{number}"), 3, camera.k.as_flattened())
+            + &opencv(&format!("D{number}"), 1, &camera.lens)
+    };
+    let intrinsics = format!("%YAML:1.0\n---\n{}{}", inside(&first, 1), inside(&second, 2));
+    let none = [0.0; 9];
+    let extrinsics = format!(
+        "%YAML:1.0\n---\n{}{}{}{}",
+        opencv("R", 3, turn.transpose().as_slice()),
+        opencv("T", 3, along.as_slice()),
+        opencv("R1", 3, &none),
+        opencv("R2", 3, &none)
+    );
+    let (folder, _) = file("intrinsics.yml", intrinsics);
+    fs::write(folder.path().join("extrinsics.yml"), extrinsics).unwrap();
+    let found = read_calibration(folder.path(), &Up::MinusY.into()).unwrap();
+    let [one, other] = &found.rig.cameras[..] else { panic!("{:?}", found.rig) };
+    assert_eq!([&*one.name, &*other.name], ["camera1", "camera2"]);
+    let between = other.rotation * one.rotation.transpose();
+    assert!((between - turn).norm() < 1e-9);
+    assert!((other.translation - between * one.translation - along).norm() < 1e-9);
+    assert!((other.focal - r2.focal).norm() < 1e-9 && (one.focal - r1.focal).norm() < 1e-9);
+}
+
 /// Python with these packages, or `None` and the reason is printed.
 struct Python;
 

@@ -672,6 +672,16 @@ fn cameras_are_judged_by_one_person_of_a_crowd() {
     assert!(missed.len() <= 1, "of 10: {missed:#?}");
 }
 
+/// Two cameras that are exchanged see each performer in another place: two pairs of cameras, each with its own people.
+#[test]
+fn cameras_that_see_others_than_the_rest_are_named() {
+    let mut take = Take::crowd(2, 4, Noise::studio(), 5, 480);
+    take.frames.iter_mut().for_each(|frame| frame.camera = [0, 2, 1, 3][frame.camera]);
+    let found = take.check();
+    let wrong = |camera: &usize| !found.cameras[*camera].findings.is_empty();
+    assert_eq!((0..4).filter(wrong).collect::<Vec<_>>(), [1, 2], "{found}");
+}
+
 /// A camera that hardly shows somebody, whatever the reason, is not wrong: it fits the others.
 #[test]
 fn a_camera_without_one_of_the_people_is_not_wrong() {

@@ -980,6 +980,12 @@ fn output_that_cannot_be_written_is_an_error() {
 }
 
 #[test]
+fn a_recorder_of_one_performer_is_chosen_by_topic() {
+    let evidence = ["all performers are recorded", "--topics 'mocap/stage/actor/p2/**'"];
+    Place::new().fails(USAGE, "record all.mcap --actor p2", &evidence);
+}
+
+#[test]
 fn files_are_not_replaced_without_being_asked() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 60, |_| true);
@@ -1543,7 +1549,8 @@ fn invalid_folders_are_not_imported() {
     fs::create_dir(place.path("pose")).unwrap();
     place.fails(NO_DETECTIONS, &import, &["pose", "no detections are found"]);
     detections(&place, &["cam1", "cam2", "cam3"], 75);
-    place.fails(CAMERA_MISMATCH, &import, &["cam3", "calibrate the camera"]);
+    let strict = format!("{import} --strict");
+    place.fails(CAMERA_MISMATCH, &strict, &["cam3", "calibrate the camera"]);
     place.write("calib.toml", calibration(&["cam1", "cam2", "cam3", "cam4"], 600.0));
     let strict = format!("{import} --strict");
     place.fails(CAMERA_MISMATCH, &strict, &["cam4", "remove it from the calibration"]);
@@ -1579,7 +1586,7 @@ fn invalid_calibrations_are_refused() {
     place.fails(BAD_CALIBRATION, &import, &["calib.toml", "at least two cameras"]);
     walk(&place.path("walk.mcap"), 10, |_| true);
     let one = "solve walk.mcap --out out --overwrite --cameras cam01";
-    place.fails(BAD_CALIBRATION, one, &["walk.mcap", "at least two cameras"]);
+    place.fails(USAGE, one, &["walk.mcap", "leave 1 of 4 cameras; two are needed"]);
     let another = "solve walk.mcap --out out --overwrite --hold-out cam9";
     place.fails(CAMERA_MISMATCH, another, &["walk.mcap", "cam9", "cam04"]);
 }
@@ -1710,6 +1717,11 @@ fn a_recording_that_shows_nobody_is_refused() {
         true
     });
     place.fails(NOBODY_FOUND, "solve one.mcap --out out", &["one.mcap", "two of the 4 cameras"]);
+
+    walk(&place.path("short.mcap"), 3, |_| true);
+    let evidence = ["3 frames of a camera", "too few to tell who is a performer"];
+    place.fails(NOBODY_FOUND, "solve short.mcap --performers auto --out out", &evidence);
+    place.done("solve short.mcap --out short");
 }
 
 #[test]

@@ -839,6 +839,11 @@ fn rows_of_a_table_are_frames_by_their_number() {
     write(root.path(), "cam1.csv", "frame;nose_x;nose_y\n0;1,5;2,5\n");
     let error = open().err().unwrap().to_string();
     assert!(error.contains("';' is between its columns"), "{error}");
+    // Decimal commas; a line of commas alone is none.
+    write(root.path(), "cam1.csv", "frame,nose_x,nose_y\n0,1,2\n,,\n1,1,5,2,5\n");
+    let error = open().err().unwrap().to_string();
+    let evidence = "line 4: 5 cells, the first line has 3: are there decimal commas?";
+    assert!(error.contains(evidence), "{error}");
     for camera in ["cam1.csv", "cam2.csv"] {
         write(root.path(), camera, "image,nose_x,nose_y\nimg_00080.png,1,2\nimg_00082.png,1,2\n");
     }
@@ -964,6 +969,55 @@ fn points_in_shares_of_the_image_and_with_ids_are_read() {
     };
     assert!((heel(first).pixel.x - 0.3 * 640.0).abs() < 1e-9);
     assert_eq!((heel(first).pixel.y, heel(first).confidence), (240.0, 0.75));
+}
+
+#[test]
+fn frames_of_all_videos_in_one_folder_are_told_apart() {
+    let root = TempDir::new().unwrap();
+    let points = " 0.5 0.25 0.9".repeat(17);
+    for (camera, frame) in ["cam1", "cam2"].into_iter().flat_map(|c| [9, 10].map(|f| (c, f))) {
+        let text = format!("0 0.5 0.5 0.1 0.2{points}\n");
+        write(root.path(), &format!("predict/labels/{camera}_{frame}.txt"), &text);
+    }
+    for folder in ["", "predict", "predict/labels"] {
+        let read = read_back(&root.path().join(folder), None);
+        let read: Vec<(i64, usize)> =
+            read.iter().map(|(ns, camera, _)| (ns / 20_000_000, *camera)).collect();
+        assert_eq!(read, [(9, 0), (9, 1), (10, 0), (10, 1)], "{folder}");
+    }
+}
+
+#[test]
+fn what_is_synchronised_is_used_and_what_is_of_no_camera_is_said() {
+    let root = TempDir::new().unwrap();
+    for (folder, number) in [("pose", 3), ("pose-sync", 7)] {
+        for camera in ["cam1", "cam2", "cam9"] {
+            let name = format!("{folder}/{camera}_json/{camera}.000{number}.json");
+            write(root.path(), &name, &frame(&[person("1,2,0.5")]));
+        }
+    }
+    let rig = small_rig(&["cam1", "cam2"]);
+    let options = DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+    let mut folder = DetectionFolder::open(root.path(), &rig, options.clone()).unwrap();
+    assert!(folder.by_ref().map(Result::unwrap).all(|frame| frame.frame == 7));
+    let said = folder.notes().join("\n");
+    for note in ["pose-sync is used, not pose", "there is no calibration for cam9_json: not used"] {
+        assert!(said.contains(note), "{said}");
+    }
+    let error = open_error(root.path(), &rig);
+    assert!(matches!(error, ImportError::CameraWithoutCalibration { .. }), "{error}");
+    // A file that is there and holds something else.
+    let root = TempDir::new().unwrap();
+    write(root.path(), "cam1.csv", "frame,nose_x,nose_y\n0,1,2\n");
+    write(root.path(), "cam2.csv", "frame,nose_x,nose_y\n0,1,2\n");
+    write(root.path(), "cam3.json", r#"{"images": [], "annotations": []}"#);
+    let rig = small_rig(&["cam1", "cam2", "cam3"]);
+    let folder = DetectionFolder::open(root.path(), &rig, options).unwrap();
+    let said = folder.notes().join("\n");
+    assert!(
+        said.contains("of camera cam3; the others are used; not understood: cam3.json"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -1106,6 +1160,26 @@ fn arrays_of_freemocap_are_read_for_all_cameras() {
     let knee = KeypointFormat::Body25.index_of(Keypoint::LKnee).unwrap();
     let knee = read[1].2[0].points[knee].unwrap();
     assert_eq!((knee.pixel.x, knee.pixel.y, knee.confidence), (116.0, 117.0, 1.0));
+    // With a third number: scores, also those above 1, but no depths.
+    for (least, expected) in [(0.25, [0.25, 1.0]), (-0.25, [1.0, 1.0])] {
+        let header = header.replace("33, 2", "17, 3");
+        let mut bytes = [&b"\x93NUMPY\x01\x00"[..], &(header.len() as u16).to_le_bytes()].concat();
+        bytes.extend(header.as_bytes());
+        for at in 0..102 {
+            let value = if at % 3 < 2 {
+                9.0
+            } else if at % 2 == 0 {
+                least
+            } else {
+                1.5
+            };
+            bytes.extend(f64::to_le_bytes(value));
+        }
+        fs::write(root.path().join(name), &bytes).unwrap();
+        let read = read_back(root.path(), None);
+        let points = [0, 1].map(|point| read[0].2[0].points[point].unwrap().confidence.min(1.0));
+        assert_eq!(points, expected);
+    }
     let at = bytes.windows(13).position(|part| part == b"(2, 1, 33, 2)").unwrap();
     let mut wrong = bytes.clone();
     wrong[at..at + 13].copy_from_slice(b"(99999, 9, 2)");

@@ -251,7 +251,7 @@ def test_errors_say_what_is_wrong(recording: bm.Recording, tmp_path: Path) -> No
         bm.Camera("c", (640, 480), np.eye(4), np.eye(3), np.zeros(3))
     out = tmp_path / "out"
     bm.solve(WALK, out=out)
-    with pytest.raises(bm.Error, match="exists"):
+    with pytest.raises(bm.Error, match="replace it with overwrite$"):
         bm.solve(WALK, out=out)
     bm.solve(WALK, out=out, overwrite=True)
 

@@ -19,7 +19,7 @@ use crate::core::body::{Skeleton, StampedPose, TrackingState};
 use crate::core::time::Timestamp;
 use crate::io::recording::Message;
 use crate::io::vmc;
-use crate::io::wire::Topic;
+use crate::io::wire::{StageChannel, Take, Topic, decode};
 use crate::retarget::Retarget;
 
 /// A performer without poses for this long is lost.
@@ -75,7 +75,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     };
     let mut bridge = Bridge::new(&arguments.to, only, arguments.provisional, character)?;
     let bus = open(&config)?;
-    let mut patterns = vec![topics.skeleton(), topics.pose()];
+    let mut patterns = vec![topics.skeleton(), topics.pose(), topics.take()];
     patterns.extend(arguments.provisional.then(|| topics.provisional()));
     let inbox = Inbox::open_all(&*bus, &patterns)?;
     note(&format!("sending poses to {}; Ctrl-C ends it", arguments.to.join(", ")));
@@ -98,6 +98,8 @@ struct Bridge {
     bodies: BTreeMap<String, Skeleton>,
     first: Option<Timestamp>,
     count: Count,
+    /// Names that somebody asked for and nobody has had yet, with those of before.
+    renamed: BTreeMap<String, String>,
 }
 
 /// A program that receives a performer.
@@ -192,10 +194,19 @@ impl Bridge {
             });
         }
         let (first, bodies, count) = (None, BTreeMap::new(), Count::default());
-        Ok(Self { targets, is_provisional, bodies, first, count })
+        let renamed = BTreeMap::new();
+        Ok(Self { targets, is_provisional, bodies, first, count, renamed })
     }
 
     fn handle(&mut self, received: &Received) {
+        let topic = Topic::parse(&received.sample.topic);
+        if let Ok(Topic::Stage { channel: StageChannel::Take, .. }) = topic {
+            let take = decode::<Take>(&received.sample.payload).ok();
+            if let Some(take) = take.filter(|take| take.action == "name") {
+                self.renamed.insert(take.new_name, take.name);
+            }
+            return;
+        }
         let actor = Topic::actor(&received.sample.topic);
         match received.message() {
             Ok(Message::Skeleton(body)) => {
@@ -213,7 +224,24 @@ impl Bridge {
         }
     }
 
+    /// A performer who has got this name keeps its address.
+    fn follow_name(&mut self, actor: &str) {
+        let Some(before) = self.renamed.remove(actor) else { return };
+        let is_of = |one: &Target, name: &str| one.performer.as_deref() == Some(name);
+        // Who had the name before goes on: the command was refused.
+        let is_known = self.targets.iter().any(|one| is_of(one, actor));
+        if is_known || self.count.without.contains_key(actor) {
+            return;
+        }
+        let mut targets = self.targets.iter_mut();
+        if let Some(target) = targets.find(|one| !one.is_named && is_of(one, &before)) {
+            note(&format!("{} gets {actor}, who was {before}", target.address));
+            target.performer = Some(actor.to_owned());
+        }
+    }
+
     fn send(&mut self, actor: &str, pose: StampedPose) {
+        self.follow_name(actor);
         let Some(target) = target_of(&mut self.targets, actor) else {
             let count = self.count.without.entry(actor.to_owned()).or_default();
             if *count == 0 {
@@ -348,5 +376,13 @@ mod tests {
         }
         assert_eq!((address(&mut bridge, "p3"), address(&mut bridge, "p1")), (Some(10), None));
         assert_eq!(address(&mut bridge, "p2"), Some(9));
+        // p3 is called star.
+        bridge.renamed.insert("star".into(), "p3".into());
+        bridge.follow_name("star");
+        assert_eq!((address(&mut bridge, "star"), address(&mut bridge, "p3")), (Some(10), None));
+        // Nobody can be called p2: another performer is.
+        bridge.renamed.insert("p2".into(), "star".into());
+        bridge.follow_name("p2");
+        assert_eq!((address(&mut bridge, "star"), address(&mut bridge, "p2")), (Some(10), Some(9)));
     }
 }

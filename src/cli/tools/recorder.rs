@@ -13,7 +13,9 @@ use super::room::Room;
 use super::silence::Silence;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{Provenance, RawEntry, RecordError, Writer, part_of};
-use crate::io::wire::{ActorChannel, StageChannel, Take, Topic, Topics, valid_name};
+use crate::io::wire::{
+    ActorChannel, StageChannel, Status, Take, Topic, Topics, decode, valid_name,
+};
 
 /// Inputs of this time before a take are in its file, and messages of this time after it.
 const MARGIN: Nanos = Nanos::SECOND;
@@ -91,6 +93,12 @@ pub(crate) enum Said {
     Answer(u64, Result<String, String>),
 }
 
+/// `NAME`, `NAME_2` and so on.
+fn numbered(name: &str) -> impl Iterator<Item = String> {
+    let more = (2..).map(move |number: u64| format!("{name}_{number}"));
+    std::iter::once(name.to_owned()).chain(more)
+}
+
 /// The open files.
 pub(crate) struct Recorder {
     topics: Topics,
@@ -112,6 +120,8 @@ pub(crate) struct Recorder {
     room: Room,
     /// Topics above the limit are not said again.
     is_skipping_said: bool,
+    /// Whether a take may run whose start this recorder has not seen.
+    may_join: bool,
 }
 
 impl Recorder {
@@ -146,6 +156,7 @@ impl Recorder {
             silence: Silence::default(),
             room: Room::default(),
             is_skipping_said: false,
+            may_join: true,
         })
     }
 
@@ -155,8 +166,9 @@ impl Recorder {
         self.all.iter_mut().chain(take).chain(ending)
     }
 
-    /// Writes a message to the open files.
-    pub(crate) fn write(&mut self, entry: RawEntry) -> Result<(), RecordError> {
+    /// Writes a message to the open files. If a node says that a take runs that began before this recorder, opens its file.
+    pub(crate) fn write(&mut self, entry: RawEntry) -> Result<Vec<Said>, RecordError> {
+        let said = self.join(&entry)?;
         for file in self.files() {
             file.write(&entry)?;
         }
@@ -180,13 +192,33 @@ impl Recorder {
             }
             _ => {}
         }
-        Ok(())
+        Ok(said)
+    }
+
+    fn join(&mut self, entry: &RawEntry) -> Result<Vec<Said>, RecordError> {
+        let topic = Topic::parse(&entry.topic);
+        let is_status = matches!(topic, Ok(Topic::Actor { channel: ActorChannel::Status, .. }));
+        let status = (self.may_join && is_status).then(|| decode::<Status>(&entry.payload));
+        let Some(Ok(Status { take: name, .. })) = status else { return Ok(Vec::new()) };
+        if valid_name(&name).is_err() {
+            return Ok(Vec::new());
+        }
+        self.may_join = false;
+        let said = self.begin(&Take { name: name.clone(), ..Take::default() }, entry.log_time)?;
+        let as_warning = |said| match said {
+            Said::Answer(_, Ok(text)) => Said::Warning(format!(
+                "take {name} began before this recorder: {text}; the frames before are not there"
+            )),
+            Said::Answer(_, Err(text)) | Said::Warning(text) => Said::Warning(text),
+        };
+        Ok(said.into_iter().map(as_warning).collect())
     }
 
     /// Handles a slate. The end of a take is answered when its file is complete.
     pub(crate) fn slate(&mut self, take: &Take, now: Timestamp) -> Result<Vec<Said>, RecordError> {
         let is_other = |name: &str| !take.name.is_empty() && take.name != name;
         let refuse = |why: String| Ok(vec![Said::Answer(take.id, Err(why))]);
+        self.may_join &= !matches!(take.action.as_str(), "start" | "stop");
         match (take.action.as_str(), &self.take) {
             ("start", _) => match valid_name(&take.name) {
                 Ok(()) => self.begin(take, now),
@@ -211,13 +243,20 @@ impl Recorder {
     fn note(&self, take: &Take, now: Timestamp) -> std::io::Result<String> {
         let is_last = |(last, _): &&(String, String)| take.name.is_empty() || *last == take.name;
         let last = self.last.as_ref().filter(is_last).map(|(_, file)| file);
-        let name = last.or(Some(&take.name).filter(|name| !name.is_empty()));
-        let name = name.ok_or_else(|| std::io::Error::other("no take was recorded"))?;
-        let recorded = self.folder.join(format!("{name}.mcap"));
-        if last.is_none() && !recorded.exists() {
-            let folder = self.folder.display();
-            return Err(std::io::Error::other(format!("no take {name} is in {folder}")));
-        }
+        let name = match last {
+            Some(name) => name.clone(),
+            None if take.name.is_empty() => {
+                let why = "no take was recorded since this recorder began; give the take's name";
+                return Err(std::io::Error::other(why));
+            }
+            // The last take of that name.
+            None => {
+                let is_there = |file: &String| self.folder.join(format!("{file}.mcap")).exists();
+                let last = numbered(&take.name).take_while(is_there).last();
+                let none = || format!("no take {} is in {}", take.name, self.folder.display());
+                last.ok_or_else(|| std::io::Error::other(none()))?
+            }
+        };
         let path = self.folder.join(NOTES);
         let is_new = !path.exists();
         let file = std::fs::OpenOptions::new().create(true).append(true).open(&path);
@@ -230,7 +269,7 @@ impl Recorder {
         let (mark, note) = (quoted(&take.mark), quoted(&take.note));
         let time = UNIX_EPOCH + Duration::from_nanos(now.ns().unsigned_abs());
         let time = humantime::format_rfc3339_seconds(time);
-        writeln!(file, "{time},{},{mark},{note}", quoted(name))?;
+        writeln!(file, "{time},{},{mark},{note}", quoted(&name))?;
         Ok(format!("noted for {name} in {}", path.display()))
     }
 
@@ -275,8 +314,7 @@ impl Recorder {
         let is_there =
             |file: &String| path(file.clone()).exists() || path(format!("{file}.part")).exists();
         let is_free = |file: &String| !is_there(file) && !is_open(file);
-        let names = (2..).map(|number: u64| format!("{name}_{number}.mcap"));
-        let file = std::iter::once(format!("{name}.mcap")).chain(names).find(is_free);
+        let file = numbered(name).map(|name| format!("{name}.mcap")).find(is_free);
         path(file.unwrap_or_default())
     }
 
@@ -363,7 +401,7 @@ impl Recorder {
 mod tests {
     use super::*;
     use crate::io::recording::Reader;
-    use crate::io::wire::{ENCODING, schema_of};
+    use crate::io::wire::{ENCODING, encode, schema_of};
 
     fn at(seconds: f64) -> Timestamp {
         Timestamp::from_ns(1_700_000_000_000_000_000 + (seconds * 1e9) as i64)
@@ -447,6 +485,41 @@ mod tests {
             assert!(matches!(counts[..], [21, 31..=32, 1]), "{file} {counts:?}");
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4);
+    }
+
+    #[test]
+    fn a_take_that_began_before_the_recorder_is_recorded_from_there() {
+        let (folder, mut recorder) = recorder();
+        std::fs::write(folder.path().join("walk.mcap.part"), "of a recorder that has died")
+            .unwrap();
+        let status = |take: &str, seconds: f64| {
+            let payload = encode(&Status { take: take.into(), ..Status::default() });
+            RawEntry { payload, ..entry(&Topics::default().status(), seconds) }
+        };
+        assert!(recorder.write(status("", 0.0)).unwrap().is_empty());
+        recorder.write(entry(&Topics::default().keypoints("a"), 0.5)).unwrap();
+        let said = recorder.write(status("walk", 1.0)).unwrap();
+        let is_said =
+            |text: &str| text.contains("walk began before") && text.contains("walk_2.mcap");
+        assert!(matches!(&said[..], [Said::Warning(text)] if is_said(text)), "{said:?}");
+        assert!(recorder.write(status("walk", 2.0)).unwrap().is_empty());
+        recorder.slate(&slate("stop", ""), at(3.0)).unwrap();
+        assert_eq!(recorder.tick(at(5.0)).unwrap().len(), 1);
+        // A status may be older than the slate.
+        assert!(recorder.write(status("walk", 5.0)).unwrap().is_empty());
+        let mut reader = Reader::open(folder.path().join("walk_2.mcap")).unwrap();
+        // The frame and the statuses: what came in the second before, and in the one after.
+        assert_eq!(std::iter::from_fn(|| reader.next_raw()).count(), 4);
+        // Another recorder knows the take by its file.
+        std::fs::rename(folder.path().join("walk.mcap.part"), folder.path().join("walk.mcap"))
+            .unwrap();
+        let (topics, provenance) = (Topics::default(), Provenance::default());
+        let mut next = Recorder::start(None, folder.path(), topics, provenance).unwrap();
+        for (name, expected) in [("walk", "noted for walk_2 "), ("", "give the take's name")] {
+            let said = next.slate(&slate("note", name), at(6.0)).unwrap();
+            let [Said::Answer(3, Ok(text) | Err(text))] = &said[..] else { panic!("{said:?}") };
+            assert!(text.contains(expected), "{text}");
+        }
     }
 
     #[test]

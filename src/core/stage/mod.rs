@@ -197,7 +197,8 @@ impl Stage {
     /// # Errors
     /// Nobody is there, or a performer, or all places are taken.
     pub fn follow_at(&mut self, place: [f64; 2]) -> Result<(), FollowError> {
-        let crowd = self.crowd.as_mut().ok_or(FollowError::Nobody)?;
+        let crowd = self.crowd.as_mut();
+        let crowd = crowd.ok_or_else(|| FollowError::Nobody("nobody".to_owned()))?;
         crowd.people_mut().follow_at(place)
     }
 

@@ -53,7 +53,10 @@ impl Names {
         }
         let most = self.given.len().max(performer.0 + 1);
         self.given.resize(most, String::new());
-        self.given[performer.0] = if is_own { String::new() } else { name.to_owned() };
+        let name = if is_own { "" } else { name };
+        let before = std::mem::replace(&mut self.given[performer.0], name.to_owned());
+        // A name that somebody has taken away is for nobody who just enters.
+        self.waiting.retain(|waiting| *waiting != before || before == name);
         Ok(())
     }
 
@@ -92,5 +95,8 @@ mod tests {
         assert!(names.give(third, "p1").is_err());
         names.give(third, "p3").unwrap();
         assert_eq!((names.given(third), names.owner("double")), (None, None));
+        // It was taken away by hand.
+        names.enter(PerformerId(3));
+        assert_eq!(names.of(PerformerId(3)), "p4");
     }
 }

@@ -217,7 +217,8 @@ impl Person {
 
     /// The points at another time.
     pub(super) fn predicted(&self, at: Timestamp) -> Points {
-        let seconds = at.seconds_since(self.at);
+        // After a pause of all cameras nobody knows how far.
+        let seconds = at.seconds_since(self.at).min(DECAY_S);
         // The velocity decays only while nothing is seen.
         let unseen = self.at.seconds_since(self.seen).max(0.0);
         let moved = self.velocity * (seconds * libm::exp(-unseen / DECAY_S));

@@ -116,11 +116,13 @@ pub enum ImportError {
     /// No subfolder and no file holds detections.
     #[error(
         "{}: no detections are found in it; give the folder with a subfolder or a file for each \
-         camera", path.display()
+         camera{not_understood}", path.display()
     )]
     NoCameraFolders {
         /// The folder.
         path: PathBuf,
+        /// Its files that hold none, for the message; empty without any.
+        not_understood: String,
     },
     /// No file has a person.
     #[error(
@@ -154,13 +156,13 @@ pub enum ImportError {
     },
     /// There are more folders than cameras.
     #[error(
-        "{}: no calibration for {folders}; calibrated are {cameras}; calibrate the camera or \
-         move its folder away", path.display()
+        "{}: no calibration for {folders}; calibrated are {cameras}; calibrate the camera, or move \
+         away what is of no camera or of one that has other files", path.display()
     )]
     CameraWithoutCalibration {
-        /// Folder with one subfolder per camera.
+        /// Folder with a subfolder or a file for each camera.
         path: PathBuf,
-        /// Folders without a camera.
+        /// Folders and files without a camera.
         folders: String,
         /// The calibrated cameras.
         cameras: String,

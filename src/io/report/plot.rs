@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use crate::core::points::median;
+
 /// Coordinates inside the SVG; the page scales it.
 const WIDTH: f64 = 460.0;
 const HEIGHT: f64 = 250.0;
@@ -11,6 +13,9 @@ const TOP: f64 = 10.0;
 const BOTTOM: f64 = 40.0;
 /// Longer curves are averaged in groups.
 const MOST_POINTS: usize = 900;
+/// In a curve of many points, a distance of so many usual ones is a gap.
+const GAP: f64 = 4.0;
+const MANY_POINTS: usize = 16;
 /// Colours that colour-blind people can distinguish \[Okabe 2008\].
 pub(super) const PALETTE: [&str; 7] =
     ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444"];
@@ -250,13 +255,16 @@ fn colour(series: &Series) -> &'static str {
 fn add_curve(series: &Series, scale: &Scale, svg: &mut String) {
     let shown = |y: f64| y.is_finite() && (!scale.log || y > 0.0);
     let (mut path, mut pen_down) = (String::new(), false);
-    for group in groups(&series.points) {
-        let (x, y) = mean_of(group, |p| [p.0, p.1]).into();
-        if shown(y) {
-            let command = if pen_down { 'L' } else { 'M' };
-            let _ = write!(path, "{command}{:.1} {:.1}", scale.x(x), scale.y(y));
+    for run in runs(&series.points, |p| p.0) {
+        for group in groups(run, series.points.len()) {
+            let (x, y) = mean_of(group, |p| [p.0, p.1]).into();
+            if shown(y) {
+                let command = if pen_down { 'L' } else { 'M' };
+                let _ = write!(path, "{command}{:.1} {:.1}", scale.x(x), scale.y(y));
+            }
+            pen_down = shown(y);
         }
-        pen_down = shown(y);
+        pen_down = false;
     }
     let dash = if series.dashed { " stroke-dasharray=\"5 3\"" } else { "" };
     let _ =
@@ -264,10 +272,12 @@ fn add_curve(series: &Series, scale: &Scale, svg: &mut String) {
 }
 
 fn add_band(series: &Series, scale: &Scale, svg: &mut String) {
-    let runs = series.band.split(|b| !(b.1.is_finite() && b.2.is_finite()));
+    let finite = series.band.split(|b| !(b.1.is_finite() && b.2.is_finite()));
+    let runs = finite.flat_map(|band| runs(band, |b| b.0));
     for run in runs.filter(|run| run.len() > 1) {
+        let groups = groups(run, series.band.len());
         let means: Vec<[f64; 3]> =
-            groups(run).map(|group| mean_of(group, |b| [b.0, b.1, b.2])).collect();
+            groups.map(|group| mean_of(group, |b| [b.0, b.1, b.2])).collect();
         let low = means.iter().map(|m| (m[0], m[1]));
         let high = means.iter().rev().map(|m| (m[0], m[2]));
         let corners: Vec<String> =
@@ -281,9 +291,17 @@ fn add_band(series: &Series, scale: &Scale, svg: &mut String) {
     }
 }
 
-/// Groups of neighbouring points, to limit the number of points.
-fn groups<T>(points: &[T]) -> impl Iterator<Item = &[T]> {
-    points.chunks(points.len().div_ceil(MOST_POINTS).max(1))
+/// The parts of a curve between times without data.
+fn runs<T>(points: &[T], x: impl Fn(&T) -> f64) -> impl Iterator<Item = &[T]> {
+    let mut steps: Vec<f64> = points.windows(2).map(|pair| x(&pair[1]) - x(&pair[0])).collect();
+    let usual = median(&mut steps).filter(|_| points.len() > MANY_POINTS);
+    let most = usual.map_or(f64::INFINITY, |usual| GAP * usual);
+    points.chunk_by(move |a, b| x(b) - x(a) <= most)
+}
+
+/// Groups of neighbouring points, to limit the number of points of a curve that has so many in `all`.
+fn groups<T>(points: &[T], all: usize) -> impl Iterator<Item = &[T]> {
+    points.chunks(all.div_ceil(MOST_POINTS).max(1))
 }
 
 fn mean_of<T, const N: usize>(group: &[T], values: impl Fn(&T) -> [f64; N]) -> [f64; N] {
@@ -318,6 +336,17 @@ mod tests {
         let curve = svg.lines().find(|line| line.contains("curve")).unwrap();
         assert_eq!((curve.matches('M').count(), curve.matches('L').count()), (2, 1), "{curve}");
         assert!(!svg.contains("NaN") && !Plot::default().svg().contains("NaN"));
+    }
+
+    #[test]
+    fn times_without_data_leave_a_gap() {
+        let frames = || (0..60).filter(|i| !(20..40).contains(i)).map(f64::from);
+        let (points, band) = (frames().map(|t| (t, 1.0)), frames().map(|t| (t, 0.0, 2.0)));
+        let series = Series { points: points.collect(), band: band.collect(), ..Series::default() };
+        let svg = Plot { series: vec![series], ..Plot::default() }.svg();
+        let curve = svg.lines().find(|line| line.contains("class=\"curve\"")).unwrap();
+        assert_eq!(curve.matches('M').count(), 2, "{curve}");
+        assert_eq!(svg.matches("opacity=\"0.16\"").count(), 2);
     }
 
     #[test]

@@ -64,6 +64,9 @@ impl Core {
         let state = other.map(|other| &*other.tracker_state).or(own_state);
         let residual_px = other.map(|other| other.residual_px).or(own.map(|own| own.residual_px));
         let unseen = self.clock.capture_time(self.now) - seen;
+        // Without frames nobody is seen, however long.
+        let is_idle = state.is_some_and(|state| state == "idle");
+        let life = if is_idle && life.is_here() { Life::Lost } else { life };
         StagePerformer {
             name,
             life: life.name().to_owned(),

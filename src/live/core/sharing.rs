@@ -286,6 +286,7 @@ impl Core {
         if !shared.name.is_empty() && shared.name != actor {
             return;
         }
+        actor.clone_into(&mut shared.name);
         let before = shared.state.as_ref();
         // So is an earlier state, such as the last one of a former solver.
         let by = before.map_or(0, |before| before.until_ns.saturating_sub(message.until_ns));

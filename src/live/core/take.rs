@@ -278,7 +278,9 @@ impl Core {
 
     /// Ends this run and begins that of the take. No job may be out.
     pub(super) fn begin_take(&mut self, take: Take) {
-        let text = format!("take {} begins", take.name);
+        let is_unsolved = self.is_front() && self.settings.carried.solvers.is_empty();
+        let unsolved = if is_unsolved { "; no solver is there: nobody is solved" } else { "" };
+        let text = format!("take {} begins{unsolved}", take.name);
         self.event(EventKind::Take, None, text.clone());
         self.put_out_bodies();
         self.publish_counts();

@@ -95,6 +95,8 @@ pub struct Replayed {
     pub outputs: Vec<Recorded>,
     /// Whether the journal reaches the end of the node or of the take.
     pub is_whole: bool,
+    /// Ids of other runs of this node in the recording: it was started again.
+    pub others: Vec<String>,
     /// What was missing, if the replay stopped early.
     pub gap: Option<Gap>,
 }
@@ -156,6 +158,8 @@ struct Entries {
     entries: Vec<JournalEntry>,
     /// Number of the first missing part, if later ones are there.
     missing: Option<u64>,
+    /// Ids of the other runs of the node that are there from their beginning.
+    others: Vec<String>,
 }
 
 /// The journal of a run: of the one that was asked for by its id or the name of its take, or of the
@@ -189,7 +193,7 @@ fn journal(
     let names: Vec<(String, String)> = runs.iter().map(named).collect();
     let is_asked = |(id, take): &(String, String)| asked.is_none_or(|run| run == id || run == take);
     let mut fitting = runs.into_values().zip(&names).filter(|(_, name)| is_asked(name));
-    let (Some((parts, _)), None) = (fitting.next(), fitting.next()) else {
+    let (Some((parts, (own, _))), None) = (fitting.next(), fitting.next()) else {
         let list = names.iter().map(|(id, take)| match take.as_str() {
             "" => id.clone(),
             take => format!("{id} (take {take})"),
@@ -200,7 +204,8 @@ fn journal(
     let whole = parts.keys().zip(0..).take_while(|(number, expected)| *number == expected).count();
     let entries = parts.into_values().take(whole).flat_map(|part| part.entries).collect();
     let whole = whole as u64;
-    Ok(Entries { entries, missing: (whole < count).then_some(whole) })
+    let others = names.iter().map(|(id, _)| id).filter(|id| *id != own).cloned().collect();
+    Ok(Entries { entries, missing: (whole < count).then_some(whole), others })
 }
 
 fn start_of(parts: &BTreeMap<u64, Journal>) -> Option<&JournalStart> {
@@ -252,7 +257,7 @@ pub fn replay<E: From<ReplayError>>(
     run: Option<&str>,
     prepare: impl FnOnce(&JournalStart) -> Result<(Settings, Solver), E>,
 ) -> Result<Replayed, E> {
-    let Entries { entries, missing } = journal(messages, topics, run)?;
+    let Entries { entries, missing, others } = journal(messages, topics, run)?;
     let mut entries = entries.into_iter();
     let senseless = |reason: &str| ReplayError::Senseless { index: 0, reason: reason.to_owned() };
     let Some(JournalEntry { input: Some(Entry::Start(start)), .. }) = entries.next() else {
@@ -289,7 +294,7 @@ pub fn replay<E: From<ReplayError>>(
     let outputs = run.outputs;
     let at = At { begin, end: last, run: start.run_id };
     let topics = compare(messages, &outputs, topics, &at, gap.is_some());
-    Ok(Replayed { start, inputs, topics, outputs, is_whole, gap })
+    Ok(Replayed { start, inputs, topics, outputs, is_whole, gap, others })
 }
 
 /// A core that gets its inputs from a journal.

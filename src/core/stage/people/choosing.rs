@@ -12,8 +12,8 @@ const NEAR_M: f64 = 1.0;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FollowError {
     /// Nobody is there.
-    #[error("nobody is seen within {NEAR_M} m of this place")]
-    Nobody,
+    #[error("nobody is seen within {NEAR_M} m of this place; seen are: {0}")]
+    Nobody(String),
     /// The person there is a performer.
     #[error("{0} is there, and is a performer already")]
     Performer(String),
@@ -31,7 +31,8 @@ impl People {
         };
         let near = self.members.iter().enumerate();
         let near = near.filter_map(|(index, member)| Some((index, away(member)?)));
-        let nearest = near.min_by(|a, b| a.1.total_cmp(&b.1)).ok_or(FollowError::Nobody)?.0;
+        let nearest = near.min_by(|a, b| a.1.total_cmp(&b.1));
+        let nearest = nearest.ok_or_else(|| FollowError::Nobody(self.others()))?.0;
         if let Role::Performer(performer) = self.members[nearest].role {
             return Err(FollowError::Performer(self.names.of(PerformerId(performer))));
         }
@@ -43,6 +44,15 @@ impl People {
         }
         self.members[nearest].wish = Wish::Wanted;
         Ok(())
+    }
+
+    /// The places of those who are no performers, for a message.
+    fn others(&self) -> String {
+        let is_other = |one: &&Member| !matches!(one.role, Role::Performer(_));
+        let places = self.members.iter().filter(is_other).filter_map(|one| one.person.place());
+        let places: Vec<String> =
+            places.map(|at| format!("somebody at {:.2},{:.2}", at[0], at[1])).collect();
+        if places.is_empty() { "only performers".to_owned() } else { places.join("; ") }
     }
 
     /// A performer is one no more, and does not become one again unless somebody follows it. Returns the time of the

@@ -199,7 +199,8 @@ impl People {
             ..Known::default()
         };
         let absent = absent.map(|one| {
-            let known = Known { dropped: one.is_unwanted, ..known(one.performer, &one.person) };
+            let person = self.dropped(one).unwrap_or(&one.person);
+            let known = Known { dropped: one.is_unwanted, ..known(one.performer, person) };
             if one.is_elsewhere { Known { points: [None; KEYPOINTS], ..known } } else { known }
         });
         let present = self.members.iter().filter_map(|member| match member.role {
@@ -209,6 +210,15 @@ impl People {
         let mut all: Vec<Known> = absent.chain(present).collect();
         all.sort_by_key(|one| one.performer);
         all
+    }
+
+    /// The bystander who was dropped and is this performer, if it is in view.
+    fn dropped(&self, one: &Absent) -> Option<&Person> {
+        let is_it =
+            |member: &&Member| member.was == Some(one.performer) && member.wish == Wish::Unwanted;
+        // Those of another day who are not wanted were never here.
+        let member = self.members.iter().find(is_it).filter(|_| one.person.was_here());
+        member.map(|member| &member.person)
     }
 
     /// These performers were seen before.
@@ -227,6 +237,12 @@ impl People {
 
     /// Nobody is in view any more. Capture times are later by `by` from here on.
     pub(super) fn restart(&mut self, by: Nanos) {
+        for index in 0..self.absent.len() {
+            if let Some(person) = self.dropped(&self.absent[index]).cloned() {
+                let one = &mut self.absent[index];
+                (one.person, one.is_interrupted) = (person, true);
+            }
+        }
         for member in std::mem::take(&mut self.members) {
             if let Role::Performer(performer) = member.role {
                 let absent = Absent::new(performer, member.person);
@@ -481,6 +497,25 @@ mod tests {
         (0..50).for_each(|set| people.drop_doubles(at(10 * set), &mut changes));
         assert_eq!(changes.len(), 2 - people.members.len(), "each is said");
         people.members.len()
+    }
+
+    /// In another take they would be taken for somebody who has come.
+    #[test]
+    fn who_was_dropped_is_known_where_it_is_now() {
+        let at = |ms: i64| Timestamp::default() + Nanos::from_ms(ms);
+        let somebody =
+            |x: f64, ms: i64| Person::new([Some(Vector3::new(x, 1.0, 0.0)); KEYPOINTS], at(ms), 4);
+        let mut people = People::new(4, Gates::default());
+        let (role, wish) = (Role::Performer(0), Wish::Open);
+        let person = somebody(0.0, 0);
+        people.members.push(Member { person, role, wish, was: None, close_since: None });
+        people.drop_performer(0);
+        people.members[0].person = somebody(3.0, 5000);
+        let [known] = &people.known()[..] else { panic!("one performer") };
+        assert!(known.dropped && known.seen == at(5000), "{known:?}");
+        assert_eq!(known.points[0].unwrap().x, 3.0);
+        people.restart(Nanos::ZERO);
+        assert_eq!(people.absent[0].person.points()[0].unwrap().x, 3.0);
     }
 
     #[test]

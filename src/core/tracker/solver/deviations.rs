@@ -8,7 +8,7 @@
 
 use super::Solver;
 use super::known::Known;
-use crate::core::body::{BodyPoint, JointDeviations};
+use crate::core::body::{BodyPoint, JOINTS, JointDeviations};
 use crate::core::cost::{FreeBody, PathKeyframe, PathProblem, Scene};
 use crate::core::tracker::job::Job;
 
@@ -18,6 +18,8 @@ const RANDOM: f64 = 1.75;
 const CONSTANT: f64 = 0.65;
 /// The error of our model, metres.
 const MODEL_M: f64 = 0.002;
+/// The error of a joint centre that only the manifold tells, metres: no keypoint of the format is at the joint or beyond it.
+const UNSEEN_M: f64 = 0.022;
 
 impl Solver {
     /// The standard deviations of the joint centres at the end of a window's final part. The window must be
@@ -39,6 +41,38 @@ impl Solver {
         let noise = job.noise.variance_px(self.config.reference_residual_px);
         let constant = CONSTANT * solved.skeleton.keypoint_offsets().root_mean_square();
         let rest = constant * constant + MODEL_M * MODEL_M;
-        Some(variances.map(|variance| libm::sqrt(RANDOM * RANDOM * noise * variance + rest)))
+        let (seen, mut joint) = (seen(points), 0..);
+        Some(variances.map(|variance| {
+            let is_seen = joint.next().is_some_and(|joint: usize| seen[joint]);
+            let unseen = if is_seen { 0.0 } else { UNSEEN_M * UNSEEN_M };
+            libm::sqrt(RANDOM * RANDOM * noise * variance + rest + unseen)
+        }))
+    }
+}
+
+/// Whether points are at a joint or beyond it.
+fn seen(points: &[BodyPoint]) -> [bool; JOINTS] {
+    let mut seen = [false; JOINTS];
+    for point in points {
+        let joints = std::iter::successors(Some(point.attachment.joint), |joint| joint.parent());
+        joints.for_each(|joint| seen[joint.index()] = true);
+    }
+    seen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::body::{Joint, fitted_points};
+    use crate::core::detections::KeypointFormat;
+
+    #[test]
+    fn without_points_at_the_feet_they_are_not_seen() {
+        let unseen = |format| {
+            let seen = seen(&fitted_points(format));
+            Joint::ALL.into_iter().filter(|joint| !seen[joint.index()]).collect::<Vec<_>>()
+        };
+        assert_eq!(unseen(KeypointFormat::Body25), []);
+        assert_eq!(unseen(KeypointFormat::Coco17), [Joint::LFoot, Joint::RFoot]);
     }
 }

@@ -31,6 +31,17 @@ pub(super) fn cameras(cameras: &str, images: &str) -> Result<Vec<Calibrated>, Fa
         images_and_points.next();
     }
     all.sort_by_cached_key(|camera| natural_key(&camera.name));
+    // Images of a camera that stands still.
+    all.dedup_by(|one, other| {
+        one.name == other.name
+            && (one.rotation, one.translation) == (other.rotation, other.translation)
+    });
+    if let Some(pair) = all.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        let name = &pair[0].name;
+        return Err(Fault::Text(format!(
+            "images.txt: the images of {name} have different poses; leave one of them in it"
+        )));
+    }
     Ok(all)
 }
 

@@ -158,7 +158,15 @@ fn is_part(file: &Path) -> bool {
     let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let endings =
         [".toml", ".json", ".yml", ".yaml", ".xml", ".pickle", ".pkl", ".qca.txt", ".xcp", ".mcal"];
-    file.is_file() && (endings.iter().any(|one| name.ends_with(one)) || COLMAP.contains(&&*name))
+    let is_colmap = COLMAP.contains(&&*name) || is_binary_colmap(file);
+    file.is_file() && (endings.iter().any(|one| name.ends_with(one)) || is_colmap)
+}
+
+/// Whether it is COLMAP's binary form, without the text.
+fn is_binary_colmap(file: &Path) -> bool {
+    let text = file.with_extension("txt");
+    let is_text = COLMAP.iter().any(|one| text.ends_with(one));
+    is_text && file.extension().is_some_and(|ending| ending == "bin") && !text.exists()
 }
 
 /// COLMAP's files.
@@ -184,6 +192,11 @@ impl Parts {
             self.format = Some("COLMAP");
             self.colmap[i] = Some(String::from_utf8_lossy(bytes).into_owned());
             return Ok(());
+        }
+        if is_binary_colmap(file) {
+            let what = "COLMAP's binary form is not read; convert it to text: colmap model_converter \
+                        --input_path DIR --output_path DIR --output_type TXT";
+            return Err(Fault::Text(what.into()));
         }
         let xml = match content(bytes, &name)? {
             Content::Tree(tree, format) => {

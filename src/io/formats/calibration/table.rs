@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, Vector3};
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 use super::{Calibrated, Fault, natural_key, size_px};
 use crate::core::camera::Lens;
@@ -92,6 +92,12 @@ impl Tables {
     /// Adds the cameras of a file. `name`: of the camera, if the file is one camera's. `set`: see
     /// [`Convention`](super::Convention).
     pub fn add(&mut self, tree: &Value, name: &str, set: Option<&str>) -> Result<(), Fault> {
+        if let Some(pair) = stereo(tree) {
+            let both = pair.into_iter().zip(["camera1", "camera2"]);
+            return both
+                .into_iter()
+                .try_for_each(|(fields, name)| self.put(name, fields, &["", ""]));
+        }
         match names_of_easymocap(tree) {
             Some(names) => names.into_iter().try_for_each(|name| {
                 let ending = format!("_{name}");
@@ -223,6 +229,38 @@ fn names_of_easymocap(tree: &Value) -> Option<Vec<String>> {
     let names = tree.get("names")?.as_array()?.iter().map(text).collect::<Vec<_>>();
     let of_first = format!("_{}", names.first()?);
     tree.as_object()?.keys().any(|key| key.ends_with(&of_first)).then_some(names)
+}
+
+/// The two cameras of OpenCV's stereo calibration: fields such as `M1` and `D2`; `R` and `T` are the pose of the second in
+/// the first. Files may have a part of the fields.
+fn stereo(tree: &Value) -> Option<[Map<String, Value>; 2]> {
+    let fields = tree.as_object()?;
+    let own = |number: &str| -> Map<String, Value> {
+        let own = fields.iter().filter_map(|(key, value)| {
+            let key = key.strip_suffix(number)?;
+            let key = if key == "M" { "matrix" } else { key };
+            let is_inside = matches!(canonical(key), Some("matrix" | "distortions"));
+            is_inside.then(|| (key.to_owned(), value.clone()))
+        });
+        own.collect()
+    };
+    let [mut first, mut second] = ["1", "2"].map(own);
+    // They are also of the rectified images.
+    let is_of_pair = fields.contains_key("R1") && fields.contains_key("R2");
+    if (first.is_empty() || second.is_empty()) && !is_of_pair {
+        return None;
+    }
+    if let (Some(rotation), Some(translation)) = (fields.get("R"), fields.get("T")) {
+        let none = (json!([[1, 0, 0], [0, 1, 0], [0, 0, 1]]), json!([0, 0, 0]));
+        first.extend([("R".to_owned(), none.0), ("T".to_owned(), none.1)]);
+        second
+            .extend([("R", rotation), ("T", translation)].map(|(k, v)| (k.to_owned(), v.clone())));
+    }
+    for (key, value) in fields.iter().filter(|(key, _)| canonical(key) == Some("size")) {
+        first.insert(key.clone(), value.clone());
+        second.insert(key.clone(), value.clone());
+    }
+    Some([first, second])
 }
 
 /// A name in lower case without separators.

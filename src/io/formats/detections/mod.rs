@@ -20,7 +20,7 @@ pub(super) use folders::natural_key;
 pub use folders::{FolderMatch, MatchedBy};
 use folders::{file_name, match_folders};
 pub use order::PointOrder;
-use sources::{Source, ending, sources};
+use sources::{Source, TRIAL, ending, not_understood, sources};
 
 /// Content of one camera's files. Counts of files and gaps are known from the start; the others
 /// grow while the stream is read.
@@ -165,6 +165,27 @@ impl DetectionFolder {
         let paths = sources.iter().map(|source| (source.path.clone(), source.has_name)).collect();
         let matches = match_folders(folder, paths, rig, &options.cameras)?;
         let mut notes = Vec::new();
+        let unsynchronised = folder.join(TRIAL[1]);
+        if unsynchronised.is_dir()
+            && let Some(first) = matches.first()
+            && first.folder.starts_with(folder.join(TRIAL[0]))
+        {
+            notes.push(format!("{} is used, not {}", TRIAL[0], TRIAL[1]));
+        }
+        let is_left = |source: &&Source| matches.iter().all(|one| one.folder != source.path);
+        let left = sources.iter().filter(is_left).map(|source| file_name(&source.path));
+        let left = left.collect::<Vec<_>>().join(", ");
+        if !left.is_empty() {
+            let names = rig.cameras.iter().map(|camera| &*camera.name).collect::<Vec<_>>();
+            if options.strict {
+                return Err(ImportError::CameraWithoutCalibration {
+                    path: folder.to_owned(),
+                    folders: left,
+                    cameras: names.join(", "),
+                });
+            }
+            notes.push(format!("there is no calibration for {left}: not used"));
+        }
         let is_unseen = |i: &usize| matches.iter().all(|one| one.camera != *i);
         let unseen = (0..rig.cameras.len()).filter(is_unseen).map(|i| &*rig.cameras[i].name);
         let unseen = unseen.collect::<Vec<_>>().join(", ");
@@ -178,7 +199,10 @@ impl DetectionFolder {
             if options.strict || matches.len() < 2 {
                 return Err(error);
             }
-            notes.push(format!("there are no detections of camera {unseen}; the others are used"));
+            let not_understood = not_understood(folder);
+            notes.push(format!(
+                "there are no detections of camera {unseen}; the others are used{not_understood}"
+            ));
         }
         let (mut cameras, mut reports) = (Vec::new(), Vec::<CameraReport>::new());
         let mut sources: Vec<Option<Source>> = sources.into_iter().map(Some).collect();

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::folders::{file_name, frame_number, frame_numbers};
+use super::folders::{file_name, frame_number, frame_numbers, video_name};
 use super::{CameraReport, Frames, json, table};
 use crate::core::time::Timestamp;
 use crate::io::formats::ImportError;
@@ -18,6 +18,9 @@ pub(super) struct Source {
     pub(super) has_name: bool,
     content: Content,
 }
+
+/// Folders of detections in that of a trial of Pose2Sim; what is synchronised comes first.
+pub(super) const TRIAL: [&str; 2] = ["pose-sync", "pose"];
 
 /// The files of all cameras, and the names of their points if they have some.
 type Sources = (Vec<Source>, Option<Vec<String>>);
@@ -105,6 +108,37 @@ fn whole_file(
     Ok((all, report))
 }
 
+/// The files of frames in a folder.
+fn frames(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
+    Ok(entries(folder)?.into_iter().filter(|file| is_frame(file)).collect())
+}
+
+/// Files of frames by the videos after which they are named: `cam01_12.txt` is of `cam01`.
+fn by_video(files: Vec<PathBuf>) -> Vec<Source> {
+    let mut videos = BTreeMap::<PathBuf, Vec<PathBuf>>::new();
+    for path in files {
+        let video = path.with_file_name(video_name(&file_name(&path)));
+        videos.entry(video).or_default().push(path);
+    }
+    let source = |(path, files)| Source { path, has_name: true, content: Content::Files(files) };
+    videos.into_iter().map(source).collect()
+}
+
+/// Files of a folder that hold no detections that are known, for a message; empty without any.
+pub(super) fn not_understood(root: &Path) -> String {
+    const NAMED: usize = 3;
+    let all = entries(root).unwrap_or_default();
+    let is_other = |path: &&PathBuf| is_frame(path) && !holds_all(path, true);
+    let names: Vec<String> = all.iter().filter(is_other).map(|path| file_name(path)).collect();
+    match names.len() {
+        0 => String::new(),
+        few if few <= NAMED => format!("; not understood: {}", names.join(", ")),
+        many => {
+            format!("; not understood: {} and {} more", names[..NAMED].join(", "), many - NAMED)
+        }
+    }
+}
+
 /// The subfolders or files of cameras, in natural order, and the names of their points.
 pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
     // FreeMoCap's folders hold other arrays beside the 2D data.
@@ -124,9 +158,6 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
             }
             continue;
         }
-        let frames = |folder: &Path| -> Result<Vec<PathBuf>, ImportError> {
-            Ok(entries(folder)?.into_iter().filter(|file| is_frame(file)).collect())
-        };
         // YOLO's files are in `labels`. Others may be in `json`.
         let (labels, json) = (path.join("labels"), path.join("json"));
         let mut files = frames(if labels.is_dir() { &labels } else { &path })?;
@@ -153,11 +184,24 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
     }
     if found.is_empty() {
         // The folder of a trial.
-        let inner = root.join("pose");
-        if inner.is_dir() {
+        let mut inner = TRIAL.into_iter().map(|inner| root.join(inner));
+        if let Some(inner) = inner.find(|inner| inner.is_dir()) {
             return sources(&inner);
         }
-        return Err(ImportError::NoCameraFolders { path: root.to_owned() });
+    }
+    // A detector has put the frames of all videos into one folder.
+    let together = match &mut found[..] {
+        [] => frames(root)?,
+        [Source { content: Content::Files(files), .. }] => files.clone(),
+        _ => Vec::new(),
+    };
+    let together = by_video(together);
+    if together.len() > 1 {
+        found = together;
+    }
+    if found.is_empty() {
+        let not_understood = not_understood(root);
+        return Err(ImportError::NoCameraFolders { path: root.to_owned(), not_understood });
     }
     Ok((found, None))
 }

@@ -99,7 +99,9 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
         return Err("it has a column of people but no column frame".into());
     }
     let is_time = |name: &&str| TIMES.contains(&&*plain(name));
-    let rows = lines.iter().enumerate().skip(at_top.max(1));
+    let width = lines.iter().take(at_top.max(1)).map(csv::StringRecord::len).max().unwrap_or(0);
+    let is_empty = |line: &csv::StringRecord| line.iter().all(|cell| cell.trim().is_empty());
+    let rows = lines.iter().enumerate().skip(at_top.max(1)).filter(|(_, line)| !is_empty(line));
     let texts = |field: &str| -> Option<Vec<&str>> {
         let at = *fields.get(field)?;
         Some(rows.clone().map(|(_, line)| line.get(at).unwrap_or_default().trim()).collect())
@@ -121,7 +123,7 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
     let numbers = numbered.map(|texts| numbers(&texts));
     for (k, (i, line)) in rows.enumerate() {
         let number = numbers.as_ref().map_or(Some(i as u64 - 1), |numbers| numbers[k]);
-        row(&mut table, line, number, &fields, &columns)
+        row(&mut table, line, number, &fields, &columns, width)
             .map_err(|what| format!("line {}: {what}", i + 1))?;
     }
     if let Some(names) = &table.names
@@ -206,8 +208,15 @@ fn row(
     number: Option<u64>,
     fields: &BTreeMap<&str, usize>,
     columns: &[(usize, Column)],
+    width: usize,
 ) -> Result<(), String> {
     let number = number.ok_or("its frame number is no whole number from 0 on")?;
+    if line.iter().skip(width).any(|cell| !cell.trim().is_empty()) {
+        let cells = line.len();
+        return Err(format!(
+            "{cells} cells, the first line has {width}: are there decimal commas?"
+        ));
+    }
     let cell = |name: &str| fields.get(name).and_then(|at| line.get(*at)).map(str::trim);
     let camera = cell("camera").unwrap_or_default();
     let (frames, report) = table.cameras.entry(camera.to_owned()).or_default();
@@ -237,7 +246,8 @@ fn seen(x: f64, y: f64, c: f64, report: &mut CameraReport) -> Option<Detection> 
 }
 
 /// Reads a numpy array of cameras x frames x points x 2 or 3 (FreeMoCap's 2D data), or of frames x points x 2 or
-/// 3. The third number is the confidence, if all are from 0 to 1. The cameras have no names.
+/// 3. The third number is the confidence, unless it is a depth: then some are negative, or all are 0. The cameras have no
+/// names.
 ///
 /// # Errors
 /// It is no such array.
@@ -269,9 +279,8 @@ pub(super) fn npy(bytes: &[u8]) -> Result<Vec<(Frames, CameraReport)>, String> {
     }
     .map_err(|error| format!("the array is cut ({error})"))?;
     let thirds = || all.iter().skip(2).step_by(3).filter(|value| !value.is_nan());
-    let is_confidence = numbers == 3
-        && thirds().next().is_some()
-        && thirds().all(|value| (0.0..=1.0).contains(value));
+    let is_confidence =
+        numbers == 3 && thirds().all(|value| *value >= 0.0) && thirds().any(|value| *value > 0.0);
     let per_frame = points * numbers;
     let camera = |camera: usize| {
         let mut report = CameraReport::default();
