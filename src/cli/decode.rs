@@ -1,6 +1,6 @@
 //! `bundlemocap decode`
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -49,8 +49,17 @@ struct Decoded {
     poses: u64,
     /// Windows without their previous keyframe.
     cut_off: u64,
-    /// Topic and capture time of each pose, ns.
-    times: BTreeSet<(Arc<str>, i64)>,
+    /// Poses that are only recorded (true) or only decoded: topic and capture time, ns.
+    alone: BTreeMap<(Arc<str>, i64), bool>,
+}
+
+impl Decoded {
+    /// Takes a recorded or a decoded pose.
+    fn meet(&mut self, pose: (Arc<str>, i64), is_recorded: bool) {
+        if self.alone.remove(&pose).is_none() {
+            self.alone.insert(pose, is_recorded);
+        }
+    }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
@@ -64,7 +73,6 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (mut performers, mut decoded) =
         (BTreeMap::<Arc<str>, Performer>::new(), Decoded::default());
     let timecode = Times::of(&arguments.file, None)?.house;
-    let mut recorded = BTreeSet::new();
     let new = || Performer { timecode, last: None, skeleton: None };
     while let Some(entry) = reader.next() {
         let entry = entry?;
@@ -72,7 +80,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             Message::Keyframe(wire) => wire,
             Message::Pose(pose) => {
                 if !pose.provisional {
-                    recorded.insert((entry.topic, pose.capture_time_ns));
+                    decoded.meet((entry.topic, pose.capture_time_ns), true);
                 }
                 continue;
             }
@@ -99,9 +107,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(without_keyframes(&arguments.file, &lost));
     }
     writer.finish()?;
-    let Decoded { keyframes, poses, cut_off, times } = decoded;
+    let Decoded { keyframes, poses, cut_off, alone } = decoded;
     say(&format!("{}: {poses} poses from {keyframes} keyframes", arguments.out.display()));
-    let left_out = recorded.difference(&times).count();
+    let left_out = alone.values().filter(|is_recorded| **is_recorded).count();
     if left_out > 0 {
         complain("note", &format!("{left_out} poses have no keyframes, and are left out"));
     }
@@ -172,7 +180,7 @@ impl Performer {
             Some(poses) => {
                 let topic: Arc<str> = topics_of(topic).pose().into();
                 for pose in &poses {
-                    decoded.times.insert((Arc::clone(&topic), pose.capture.ns()));
+                    decoded.meet((Arc::clone(&topic), pose.capture.ns()), false);
                     let wire = wire::Pose::from_core(pose, &skeleton, None);
                     let wire = wire.labelled(self.timecode);
                     writer.write(&topic, pose.capture, &wire)?;

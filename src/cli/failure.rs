@@ -49,7 +49,7 @@ Exit codes:
    3  an input is missing or cannot be read
    4  malformed input
    5  nobody found: no performer in two cameras
-   6  partly done: windows that fit badly, a damaged recording, a replay up to lost inputs;
+   6  partly done: windows that fit badly, a damaged recording, a replay up to lost inputs or a restart;
       one of several takes of `solve` or `summary` is not solved, or in part; `body` left out a take;
       `record` lost or got no messages, or the disk is full; to `take` a node or recorder did not
       answer or refused; no poses came for `retarget --out`
@@ -120,6 +120,11 @@ impl Failure {
 impl From<RecordError> for Failure {
     fn from(error: RecordError) -> Self {
         let exit = match &error {
+            RecordError::Read { path, .. } if path.is_dir() => {
+                let text =
+                    format!("{0} is a folder; give recordings, such as {0}/*.mcap", path.display());
+                return Self::new(Exit::Unreadable, text);
+            }
             RecordError::Read { .. } => Exit::Unreadable,
             RecordError::NotMcap { .. } => Exit::Malformed,
             RecordError::NoChannels { .. }
@@ -198,7 +203,7 @@ impl From<offline::Error> for Failure {
             E::TimeUnit { .. } => Exit::Malformed,
             E::NobodyFound { .. } | E::ShortTakes => Exit::NobodyFound,
             E::Weights(_) => Exit::Weights,
-            E::Exists { .. } => Exit::Usage,
+            E::Exists { .. } | E::NoFolder { .. } => Exit::Usage,
             E::Write { .. } | E::Stopped { .. } => Exit::Unexpected,
         };
         Self::new(exit, error.to_string())

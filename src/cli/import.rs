@@ -37,7 +37,8 @@ FOLDER holds a subfolder or a file for each camera, found by content:
   DeepLabCut             a CSV or h5 for all frames
   FreeMoCap              its recording folder, or the .npy with the 2D data of all cameras
   others                 a CSV with frame, NAME_x, NAME_y, NAME_c ..., perhaps camera and person
-Also a trial's folder that holds these in `pose`. Capture time is the frame number, in the file
+Also a trial's folder that holds these in `pose-sync` or `pose`, and one folder with the frames of all
+videos, such as cam01_12.txt. Capture time is the frame number, in the file
 or its name, divided by the frame rate.
 
 The order of the points is found by their names or number; --format chooses another, and --points
@@ -90,7 +91,7 @@ pub(super) struct Arguments {
     overwrite: Overwrite,
     #[command(flatten)]
     convention: ConventionArguments,
-    /// Refuse broken files, and cameras of the calibration without detections.
+    /// Refuse broken files, cameras of the calibration without detections, and detections of other cameras.
     #[arg(long)]
     strict: bool,
 }

@@ -25,8 +25,8 @@ use crate::live::{
 The recording must contain all inputs since the start of a run: since `bundlemocap take start`, or since
 the start of the node. The run's journal contains its settings, what was known of body, latency and
 clocks, and the order and times of its inputs. If an input is missing, the replay stops there, says so
-and ends with code 6. The same version gives the same bytes on every x86-64 processor. The recording is
-kept in memory.
+and ends with code 6. It also ends with code 6 if the node was started again during the take. The same
+version gives the same bytes on every x86-64 processor. The recording is kept in memory.
 
 Exit code 14: the outputs differ from the recorded ones.
 
@@ -93,8 +93,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         false => Exit::Done,
     };
     let others = replayed.others.join(", ");
-    // The run was not chosen, but is that of the file's take.
-    let is_part = arguments.run.is_none() && !others.is_empty();
+    // The run was not chosen, but is that of the file's take. The next run may have begun when the recorder ended.
+    let is_part = arguments.run.is_none() && !replayed.is_whole && !others.is_empty();
     if is_part {
         let file = arguments.file.display();
         let text = format!(

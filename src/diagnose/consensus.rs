@@ -21,6 +21,8 @@ pub(super) const FAR: f64 = 0.15;
 pub(super) const MEMBER: f64 = 0.4;
 /// A camera with fewer frames of the performer is not judged.
 const LEAST_INSTANTS: usize = 4;
+/// Hardly ever is once in so many times.
+const HARDLY: usize = 10;
 /// Pairs that are tried.
 const MOST_PAIRS: usize = 120;
 
@@ -325,6 +327,31 @@ impl<'a> Scene<'a> {
             self.nearest(camera, reading, *time, points).map(|(_, found)| found.0)
         };
         self.instants.iter().zip(points).map(at).collect()
+    }
+
+    /// Whether a camera sees people when the points should be in its image, but hardly ever at their place.
+    pub(super) fn sees_others(&self, camera: usize, points: &[Points]) -> bool {
+        let (reading, track) = (&self.readings[camera], &self.footage.tracks[camera]);
+        let of = &reading.camera;
+        let [width, height] = [of.width, of.height].map(f64::from);
+        let is_inside = |point: &&Option<Vector3<f64>>| {
+            let pixel = point.and_then(|point| of.project(&point));
+            pixel.is_some_and(|at| (0.0..width).contains(&at.x) && (0.0..height).contains(&at.y))
+        };
+        let [mut there, mut elsewhere] = [0; 2];
+        for (time, points) in self.instants.iter().zip(points) {
+            if points.iter().filter(is_inside).count() < LEAST_POINTS {
+                continue;
+            }
+            let views = reading.views(track, self.periods[camera], *time);
+            let errors = views.iter().filter_map(|view| Some(errors(of, view, points)?.0));
+            match errors.reduce(f64::min) {
+                Some(error) if error < FAR => there += 1,
+                Some(_) => elsewhere += 1,
+                None => {}
+            }
+        }
+        elsewhere >= LEAST_INSTANTS && there * HARDLY < elsewhere
     }
 
     /// The same with the instants of a range alone.

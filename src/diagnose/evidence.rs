@@ -164,9 +164,9 @@ impl Evidence {
     }
 
     /// Judges the cameras by the performer who moved most; without one, by everybody in view. If a camera
-    /// seems wrong, the other performers are checked too: a performer whom a camera often loses makes it look wrong, but a
-    /// real fault shows with every performer. `rig` are the same cameras or the first of them, perhaps with other time
-    /// offsets.
+    /// seems wrong, or sees people but not this performer, the other performers are checked too: a performer whom a camera
+    /// often loses makes it look wrong, but a real fault shows with every performer. `rig` are the same cameras or the first
+    /// of them, perhaps with other time offsets.
     pub fn check(mut self, rig: &Rig) -> Check {
         if let Some(crowd) = &mut self.crowd {
             crowd.end();
@@ -193,11 +193,8 @@ impl Evidence {
         enough.sort_by(|a, b| b.footage.movement().total_cmp(&a.footage.movement()));
         let is_crowd = several as f64 > SEVERAL * all as f64;
         let judged = |alone: &Footage, footage: &Footage| {
-            let mut check = check(&self.largest, alone, footage, rig);
-            for (camera, people) in check.cameras.iter_mut().zip(&self.with_people) {
-                camera.sees_people = *people as f64 > least;
-            }
-            check
+            let everybody = if is_crowd { &self.everybody } else { &self.largest };
+            check((&self.largest, everybody), alone, footage, rig)
         };
         let Some((mover, others)) = enough.split_first().filter(|_| is_crowd) else {
             return Check::of_performers(vec![judged(&self.largest, &self.largest)]);

@@ -253,6 +253,9 @@ fn exchanged<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
 }
 
 fn in_order<'a>(scene: &Scene<'a>, cameras: &[Camera], order: &[usize]) -> Option<Judged<'a>> {
+    if order.is_sorted() {
+        return None;
+    }
     let readings = scene.readings.iter().zip(order);
     let readings = readings
         .map(|(reading, &k)| Reading { camera: cameras[k].clone(), ..reading.clone() })
@@ -262,10 +265,8 @@ fn in_order<'a>(scene: &Scene<'a>, cameras: &[Camera], order: &[usize]) -> Optio
     let other =
         |(i, &k): (usize, &usize)| (i != k).then(|| hypotheses::is_another(&cameras[k].name));
     let findings: Vec<Option<Finding>> = order.iter().enumerate().map(other).collect();
-    let moved = findings.iter().flatten().count();
     let judged = Judged { scene, consensus, findings, general: Vec::new() };
-    let judged = fix(judged, cameras);
-    (moved > 0).then_some(judged)
+    Some(fix(judged, cameras))
 }
 
 /// A fault of all cameras, if most agree without it.

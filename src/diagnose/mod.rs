@@ -94,9 +94,9 @@ pub struct CameraCheck {
     /// What is wrong with its capture times, if that is its fault.
     #[serde(skip)]
     pub(crate) times: Option<WrongTimes>,
-    /// Whether it sees people about as often as other cameras do.
+    /// Whether it sees people, but hardly ever where the others see the performer.
     #[serde(skip)]
-    pub(crate) sees_people: bool,
+    sees_others: bool,
 }
 
 impl Check {
@@ -177,14 +177,14 @@ impl Check {
         findings.any(|finding| MOTION.contains(&finding.cause))
     }
 
-    /// Whether all cameras that see people agree on one of them.
+    /// Whether nothing is wrong, and no camera sees others than the rest.
     fn is_of_all(&self) -> bool {
-        let is_in = |camera: &CameraCheck| !camera.sees_people || camera.agrees();
-        self.is_clean() && self.cameras.iter().all(is_in)
+        self.is_clean() && self.cameras.iter().all(|camera| !camera.sees_others)
     }
 
-    /// Combines the checks by several performers, the most important first. Performers whom different cameras see may be one
-    /// person in two places: of a camera that shares no performer with the first one's cameras, that is said.
+    /// Combines the checks by several performers, the one who moves most first. Performers whom different cameras see may be
+    /// one person in two places: of a camera that sees others, and shares no performer with the first one's cameras, that is
+    /// said.
     fn of_performers(mut checks: Vec<Self>) -> Self {
         let agreeing = |check: &Self| -> Vec<usize> {
             let cameras = check.cameras.iter().enumerate();
@@ -197,9 +197,13 @@ impl Check {
             first.extend(groups.swap_remove(at));
         }
         let mover = checks.remove(0);
-        let mut all = checks.into_iter().fold(mover, Self::joined);
-        for (index, camera) in all.cameras.iter_mut().enumerate() {
-            let is_apart = camera.sees_people && !first.contains(&index) && first.len() > 1;
+        let see_others: Vec<bool> = mover.cameras.iter().map(|one| one.sees_others).collect();
+        let mut all = match mover.is_clean() {
+            true => mover,
+            false => checks.into_iter().fold(mover, Self::joined),
+        };
+        for ((index, camera), sees_others) in all.cameras.iter_mut().enumerate().zip(see_others) {
+            let is_apart = sees_others && !first.contains(&index) && first.len() > 1;
             if is_apart && camera.findings.is_empty() {
                 // They are of its agreement with others who are apart.
                 (camera.agreeing_percent, camera.error_px) = (None, None);
@@ -289,9 +293,14 @@ impl CameraCheck {
     }
 }
 
-/// Judges the cameras of a rig: by all their frames, by the frames in which somebody is `alone`, and by
-/// what they saw of one performer, where each may be anybody in its frame.
-fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Check {
+/// Judges the cameras of a rig: by all their frames, with the largest people and with everybody, by the frames in which
+/// somebody is `alone`, and by what they saw of one performer, where each may be anybody in its frame.
+fn check(
+    (frames, everybody): (&Footage, &Footage),
+    alone: &Footage,
+    footage: &Footage,
+    rig: &Rig,
+) -> Check {
     let mut scene = Scene::new(footage, rig.cameras.iter().map(Reading::new).collect(), INSTANTS);
     scene.start = frames.start(&rig.cameras);
     let mut cameras: Vec<CameraCheck> = (0..rig.cameras.len())
@@ -303,7 +312,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             findings: order::findings(frames, alone, &rig.cameras, camera),
             mean_error: None,
             times: None,
-            sees_people: false,
+            sees_others: false,
         })
         .collect();
     let Some(mut judged) = judge(&scene, &rig.cameras) else {
@@ -329,6 +338,10 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             row.error_px = Some(fit.px).filter(|px| px.is_finite());
             row.agreeing_percent = Some(100.0 * fit.share);
             row.mean_error = Some(fit.mean);
+        }
+        if row.findings.is_empty() && !row.agrees() {
+            let everybody = Scene { footage: everybody, ..fixed.clone() };
+            row.sees_others = everybody.sees_others(camera, &points);
         }
         if row.findings.is_empty() && !consensus.members[camera] {
             let is_member = |other: usize| consensus.members[other];

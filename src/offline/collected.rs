@@ -118,6 +118,7 @@ pub(super) fn nobody(
     rig: &Rig,
     check: &Check,
     others: usize,
+    is_several: bool,
 ) -> Error {
     let count = |kind| all.iter().map(|one| one.count(kind)).sum::<u64>();
     let path = recording.path().to_owned();
@@ -130,7 +131,7 @@ pub(super) fn nobody(
     }
     let lost = all.iter().map(|one| one.windows.lost as u64).sum::<u64>();
     let (tried, frames) = (count(EventKind::NobodyFound) + lost, recording.frames());
-    if tried == 0 && frames < FEW_FRAMES {
+    if is_several && tried == 0 && frames < FEW_FRAMES {
         let evidence = format!(
             "it has {frames} frames of a camera, too few to tell who is a performer; with one performer, a frame is \
              enough"

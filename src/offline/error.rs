@@ -68,6 +68,8 @@ pub enum Error {
     Weights(#[from] WeightsError),
     #[error("{} exists; choose another folder, or replace it with --overwrite", path.display())]
     Exists { path: PathBuf },
+    #[error("{} is a file; the outputs need a folder", path.display())]
+    NoFolder { path: PathBuf },
     #[error(
         "cannot write {}: {source}; check that the folder exists, is writable and has space",
         path.display()

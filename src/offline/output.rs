@@ -54,6 +54,9 @@ pub(crate) struct OutputFolder {
 
 impl OutputFolder {
     pub(crate) fn make(path: &Path) -> Result<Self, Error> {
+        if path.is_file() {
+            return Err(Error::NoFolder { path: path.to_owned() });
+        }
         let made = !path.exists();
         std::fs::create_dir_all(path)
             .map_err(|source| Error::Write { path: path.to_owned(), source })?;

@@ -116,7 +116,8 @@ pub fn solve_group(
     let found = |(body, one): (Option<_>, &Collected)| body.filter(|_| one.poses.found_somebody());
     let skeletons: Vec<_> = bodies.into_iter().zip(&collected).map(found).collect();
     if skeletons.iter().all(Option::is_none) {
-        return Err(nobody(&collected, recording, &rig, &check, driver.others()));
+        let is_several = options.performers.limit() > 1;
+        return Err(nobody(&collected, recording, &rig, &check, driver.others(), is_several));
     }
     let mut summaries = Vec::new();
     for (one, skeleton) in collected.iter_mut().zip(&skeletons) {
@@ -140,8 +141,7 @@ pub fn solve_group(
         let states = poses.states.csv();
         let is_alone = options.performers.limit() == 1;
         let fits = one.windows.cameras.iter().zip(&check.cameras);
-        let fit_notes: Vec<String> =
-            fits.filter_map(|(errors, check)| errors.note(check)).collect();
+        let fits: Vec<String> = fits.filter_map(|(errors, check)| errors.note(check)).collect();
         let (one, summary) = one.summarise(recording, &rig, skeleton, poses, seconds, is_alone);
         let mut summary = Summary { time_offsets: offsets.clone(), frames_recorded, ..summary };
         summary.notes.extend(silent.iter().cloned().chain(recording.rig_note()));
@@ -149,7 +149,7 @@ pub fn solve_group(
         summary.notes.extend(check.warnings());
         // Somebody of several may not be seen by all.
         if is_alone {
-            summary.notes.extend(fit_notes);
+            summary.notes.extend(fits);
         }
         if !options.references.is_empty() {
             summary.notes.extend(Reference::note(summary.reference.as_ref(), false));

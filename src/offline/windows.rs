@@ -66,23 +66,19 @@ pub(crate) struct Windows {
 }
 
 impl CameraErrors {
-    /// A note if the camera, of which a check says nothing else, does not see the performer where the poses are.
+    /// A note if the camera, of which a check says nothing, sees the performer far from the poses.
     pub(crate) fn note(&self, check: &CameraCheck) -> Option<String> {
         if !check.findings.is_empty() {
             return None;
         }
-        let camera = &check.camera;
-        match (self.all.median(), self.relative.median()) {
-            (Some(px), Some(relative)) if relative > FAR => Some(format!(
-                "camera {camera}: its points are {px:.0} px from the poses, {:.0} % of the performer's height in its \
-                 image: is its calibration of this take?",
-                100.0 * relative
-            )),
-            (None, _) if check.sees_people => {
-                Some(format!("camera {camera}: it sees people, but none of them is at the poses"))
-            }
-            _ => None,
-        }
+        let relative = self.relative.median().filter(|relative| *relative > FAR)?;
+        Some(format!(
+            "camera {}: its points are {:.0} px from the poses, {:.0} % of the performer's height in its image: is its \
+             calibration of this take?",
+            check.camera,
+            self.all.median()?,
+            100.0 * relative
+        ))
     }
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use bundlemocap::io::formats::{Auto, Convention, Up, read_calibration, write_calibration};
+use bundlemocap::io::wire::valid_name;
 use bundlemocap::nalgebra::{Matrix3, Vector3};
 use bundlemocap::{Lens, Nanos};
 use pyo3::prelude::*;
@@ -48,6 +49,7 @@ impl Camera {
         fisheye: bool,
         time_offset_ns: i64,
     ) -> PyResult<Self> {
+        valid_name(&name).map_err(|source| error(format!("name: {source}")))?;
         let size = image_size(size)?;
         let numbers = distortion.map_or(vec![0.0; 4], |array| array.numbers);
         let of = if fisheye { Lens::fisheye } else { Lens::brown_conrady };

@@ -16,14 +16,21 @@ use pyo3::types::{PyDict, PyList};
 
 create_exception!(bundlemocap, Error, PyException, "Why something cannot be done, and the fix.");
 
-/// The error for Python. Where it names an option of the command, such as `--overwrite`, that is an argument.
+/// A text for Python: options of the command, such as `--hold-out`, are arguments.
+fn in_python(text: &str) -> String {
+    let mut parts = text.split("--");
+    let mut all = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let rest = part.trim_start_matches(|c: char| c.is_ascii_lowercase() || c == '-');
+        all += &part[..part.len() - rest.len()].replace('-', "_");
+        all += rest;
+    }
+    all
+}
+
+/// The error for Python.
 fn error(error: impl std::fmt::Display) -> PyErr {
-    let text = error.to_string();
-    let words = text.split(' ').map(|word| match word.strip_prefix("--") {
-        Some(option) => option.replace('-', "_"),
-        None => word.to_owned(),
-    });
-    Error::new_err(words.collect::<Vec<_>>().join(" "))
+    Error::new_err(in_python(&error.to_string()))
 }
 
 /// Warns of what may be wrong with a file, or was lost of it.
@@ -31,7 +38,7 @@ fn warn_of(py: Python, file: &str, what: &[String]) -> PyResult<()> {
     if what.is_empty() {
         return Ok(());
     }
-    let text = format!("{file}: {}", what.join("; "));
+    let text = format!("{file}: {}", in_python(&what.join("; ")));
     py.import("warnings")?.call_method1("warn", (text,)).map(drop)
 }
 

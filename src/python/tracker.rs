@@ -45,11 +45,6 @@ impl Pose {
     }
 
     #[getter]
-    fn provisional(&self) -> bool {
-        self.pose.provisional
-    }
-
-    #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         array(py, positions(&self.pose.pose, &self.body), [JOINTS, 3])
     }

@@ -558,7 +558,7 @@ fn binaries_and_several_images_of_a_camera_of_colmap_are_said() {
     let (folder, path) = file("cameras.bin", b"\x01\x00");
     for path in [path.as_path(), folder.path()] {
         let error = read_calibration(path, &Convention::default()).unwrap_err().to_string();
-        assert!(error.contains("colmap model_converter"), "{error}");
+        assert!(error.contains("model_converter, output type TXT"), "{error}");
     }
     let (folder, path) = file(
         "cameras.txt",

@@ -1587,6 +1587,12 @@ fn invalid_calibrations_are_refused() {
     walk(&place.path("walk.mcap"), 10, |_| true);
     let one = "solve walk.mcap --out out --overwrite --cameras cam01";
     place.fails(USAGE, one, &["walk.mcap", "leave 1 of 4 cameras; two are needed"]);
+    place.fails(USAGE, "solve walk.mcap --out walk.mcap", &["walk.mcap is a file", "a folder"]);
+    place.fails(
+        UNREADABLE,
+        "solve . --out out",
+        &["is a folder; give recordings, such as ./*.mcap"],
+    );
     let another = "solve walk.mcap --out out --overwrite --hold-out cam9";
     place.fails(CAMERA_MISMATCH, another, &["walk.mcap", "cam9", "cam04"]);
 }

@@ -9,7 +9,7 @@ use bundlemocap::core::stage::PerformerId;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{known_people, write_body};
 use bundlemocap::io::wire::{self, Event, KeypointFrame, Pose, Topics, TrackingState, encode};
-use bundlemocap::live::people_of;
+use bundlemocap::live::{Recorded, people_of};
 use bundlemocap::research::synth::{Crowd, Meeting, Noise, Recording};
 use nalgebra::Vector3;
 
@@ -608,6 +608,26 @@ fn people_are_known_again_by_their_bodies() {
     }
     let all = [("double", "confirmed"), ("lead", "confirmed"), ("p4", "confirmed")];
     assert_eq!((lives(&end), end.others), (all.to_vec(), 1));
+}
+
+/// Killed, so its journal has no end.
+#[test]
+fn a_node_that_was_started_again_in_a_take_is_told() {
+    let stage = Stage::new(1, 4, 6);
+    let mut messages = stage.all();
+    messages.push(slate("start", "walk", 1.0));
+    let mut recorded = Vec::new();
+    for (from, to) in [(-1.0, 3.0), (3.0, 6.0)] {
+        let span = at(from)..at(to);
+        let sent = messages.iter().filter(|message| span.contains(&message.arrival)).cloned();
+        let sent: Vec<Sent> = sent.collect();
+        let mut world = World::new(&stage.config);
+        world.play(sent.clone(), at(to));
+        recorded.extend(world.heard.messages.clone());
+        recorded.extend(sent.into_iter().map(Recorded::from));
+        let take = replayed(&recorded, Some("walk")).unwrap();
+        assert_eq!((take.is_whole, take.others.len()), (false, usize::from(from > 0.0)));
+    }
 }
 
 #[test]

@@ -40,9 +40,9 @@ Some buttons send a number, or true and false, when they are pressed and when th
 command is done when the button is pressed.
 
 Each node and each recorder answers with /take/answer ROLE TEXT DONE. DONE is 1. It is 0 if the command
-was refused, or if nobody of that role is there. What is no command is answered by the role bridge. A name gets `_` for each character that it cannot
-have. OSC has no passwords: anybody who reaches the port can begin and end takes. The default is this
-computer alone.
+was refused, or if nobody of that role is there. A wrong message to /take/ is answered by the role
+bridge. A name gets `_` for each character that it cannot have. OSC has no passwords: anybody who
+reaches the port can begin and end takes. The default is this computer alone.
 
 Examples:
   bundlemocap bridge osc

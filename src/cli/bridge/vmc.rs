@@ -98,8 +98,8 @@ struct Bridge {
     bodies: BTreeMap<String, Skeleton>,
     first: Option<Timestamp>,
     count: Count,
-    /// Names that somebody asked for and nobody has had yet, with those of before.
-    renamed: BTreeMap<String, String>,
+    /// Names that somebody asked for and nobody has had yet, with those of before, and when.
+    renamed: BTreeMap<String, (String, Instant)>,
 }
 
 /// A program that receives a performer.
@@ -203,7 +203,7 @@ impl Bridge {
         if let Ok(Topic::Stage { channel: StageChannel::Take, .. }) = topic {
             let take = decode::<Take>(&received.sample.payload).ok();
             if let Some(take) = take.filter(|take| take.action == "name") {
-                self.renamed.insert(take.new_name, take.name);
+                self.renamed.insert(take.new_name, (take.name, Instant::now()));
             }
             return;
         }
@@ -226,11 +226,11 @@ impl Bridge {
 
     /// A performer who has got this name keeps its address.
     fn follow_name(&mut self, actor: &str) {
-        let Some(before) = self.renamed.remove(actor) else { return };
+        let Some((before, asked)) = self.renamed.remove(actor) else { return };
         let is_of = |one: &Target, name: &str| one.performer.as_deref() == Some(name);
-        // Who had the name before goes on: the command was refused.
+        // Somebody has the name, or comes later: the command was refused.
         let is_known = self.targets.iter().any(|one| is_of(one, actor));
-        if is_known || self.count.without.contains_key(actor) {
+        if is_known || self.count.without.contains_key(actor) || asked.elapsed() > GONE {
             return;
         }
         let mut targets = self.targets.iter_mut();
@@ -377,11 +377,11 @@ mod tests {
         assert_eq!((address(&mut bridge, "p3"), address(&mut bridge, "p1")), (Some(10), None));
         assert_eq!(address(&mut bridge, "p2"), Some(9));
         // p3 is called star.
-        bridge.renamed.insert("star".into(), "p3".into());
+        bridge.renamed.insert("star".into(), ("p3".into(), Instant::now()));
         bridge.follow_name("star");
         assert_eq!((address(&mut bridge, "star"), address(&mut bridge, "p3")), (Some(10), None));
         // Nobody can be called p2: another performer is.
-        bridge.renamed.insert("p2".into(), "star".into());
+        bridge.renamed.insert("p2".into(), ("star".into(), Instant::now()));
         bridge.follow_name("p2");
         assert_eq!((address(&mut bridge, "star"), address(&mut bridge, "p2")), (Some(10), Some(9)));
     }

@@ -120,8 +120,9 @@ pub(crate) struct Recorder {
     room: Room,
     /// Topics above the limit are not said again.
     is_skipping_said: bool,
-    /// Whether a take may run whose start this recorder has not seen.
+    /// Whether a take may run whose start this recorder has not seen; statuses that say so, by topic.
     may_join: bool,
+    running: BTreeMap<Arc<str>, i64>,
 }
 
 impl Recorder {
@@ -157,6 +158,7 @@ impl Recorder {
             room: Room::default(),
             is_skipping_said: false,
             may_join: true,
+            running: BTreeMap::new(),
         })
     }
 
@@ -199,8 +201,15 @@ impl Recorder {
         let topic = Topic::parse(&entry.topic);
         let is_status = matches!(topic, Ok(Topic::Actor { channel: ActorChannel::Status, .. }));
         let status = (self.may_join && is_status).then(|| decode::<Status>(&entry.payload));
-        let Some(Ok(Status { take: name, .. })) = status else { return Ok(Vec::new()) };
+        let Some(Ok(Status { take: name, node_time_ns, .. })) = status else {
+            return Ok(Vec::new());
+        };
         if valid_name(&name).is_err() {
+            return Ok(Vec::new());
+        }
+        // The first one may be the last one of a node that has ended, or of a performer who had another name.
+        let before = self.running.insert(Arc::clone(&entry.topic), node_time_ns);
+        if before.is_none_or(|before| before == node_time_ns) {
             return Ok(Vec::new());
         }
         self.may_join = false;
@@ -493,11 +502,15 @@ mod tests {
         std::fs::write(folder.path().join("walk.mcap.part"), "of a recorder that has died")
             .unwrap();
         let status = |take: &str, seconds: f64| {
-            let payload = encode(&Status { take: take.into(), ..Status::default() });
+            let node_time_ns = at(seconds).ns();
+            let payload = encode(&Status { take: take.into(), node_time_ns, ..Status::default() });
             RawEntry { payload, ..entry(&Topics::default().status(), seconds) }
         };
         assert!(recorder.write(status("", 0.0)).unwrap().is_empty());
         recorder.write(entry(&Topics::default().keypoints("a"), 0.5)).unwrap();
+        // It may be of a node that has ended.
+        assert!(recorder.write(status("walk", 0.1)).unwrap().is_empty());
+        assert!(recorder.write(status("walk", 0.1)).unwrap().is_empty());
         let said = recorder.write(status("walk", 1.0)).unwrap();
         let is_said =
             |text: &str| text.contains("walk began before") && text.contains("walk_2.mcap");
@@ -509,7 +522,7 @@ mod tests {
         assert!(recorder.write(status("walk", 5.0)).unwrap().is_empty());
         let mut reader = Reader::open(folder.path().join("walk_2.mcap")).unwrap();
         // The frame and the statuses: what came in the second before, and in the one after.
-        assert_eq!(std::iter::from_fn(|| reader.next_raw()).count(), 4);
+        assert_eq!(std::iter::from_fn(|| reader.next_raw()).count(), 6);
         // Another recorder knows the take by its file.
         std::fs::rename(folder.path().join("walk.mcap.part"), folder.path().join("walk.mcap"))
             .unwrap();

@@ -4,7 +4,7 @@
 //! r = F (n - s pi(q)), pixels, with F the mean focal length, n the observed normalised point,
 //! pi(q) = (x, y) / z, q = exp(w) (R (X - c) - k), and the unknowns of a camera: its rotation w and
 //! shift k in its own frame, and s - 1 the change of its focal length. Points are eliminated (Schur
-//! complement). A stiff prior holds the cameras.
+//! complement). A stiff prior holds the cameras; where a correction is larger than it expects, a weaker one.
 //!
 //! As few cameras as possible are corrected: one after the other is set free, the one that lowers
 //! the cost most first, as long as its correction is significant. The others hold the world in
@@ -26,6 +26,8 @@ const STEP: Nanos = Nanos::from_ms(100);
 const UNKNOWNS: usize = 7;
 /// Standard deviations of the prior: 1 degree, 2 cm, 2 %.
 const PRIOR: [f64; 3] = [0.017453292519943295, 0.02, 0.02];
+/// A significant correction that is larger is held by a prior of its own size, which is estimated so many times.
+const RELAXATIONS: usize = 4;
 /// Corrections below these are not significant: 0.1 degrees, 5 mm, 0.3 %.
 const LEAST: [f64; 3] = [0.0017453292519943296, 0.005, 0.003];
 /// Nor are those below this many standard errors.
@@ -75,6 +77,9 @@ pub fn refine(tracks: &Tracks, cameras: &[Camera]) -> (Vec<Camera>, Vec<Correcti
             errors[camera] = error;
         }
     }
+    for (&camera, error) in free.iter().zip(problem.relax(&free)) {
+        errors[camera] = error;
+    }
     let after = problem.disagreements();
     let corrections = (0..cameras.len()).map(|i| {
         let change = problem.change(i);
@@ -112,6 +117,8 @@ struct Problem<'a> {
     points: Vec<Point>,
     /// Standard deviation of each camera's points, pixels.
     sigma: Vec<f64>,
+    /// Standard deviations of each camera's prior, as [`PRIOR`].
+    prior: Vec<[f64; 3]>,
 }
 
 /// Normal equations of all cameras, without prior.
@@ -136,7 +143,8 @@ impl<'a> Problem<'a> {
             }
         }
         let sigma = vec![1.0; original.len()];
-        let mut problem = Self { original, cameras: original.to_vec(), points, sigma };
+        let (cameras, prior) = (original.to_vec(), vec![PRIOR; original.len()]);
+        let mut problem = Self { original, cameras, points, sigma, prior };
         (0..2).for_each(|_| problem.measure_sigma());
         problem
     }
@@ -290,7 +298,7 @@ impl<'a> Problem<'a> {
         let changes: Vec<Change> = free.iter().map(|&i| self.change(i)).collect();
         for i in 0..n {
             let k = i % UNKNOWNS;
-            let information = PRIOR[k / 3].powi(-2);
+            let information = self.prior[free[i / UNKNOWNS]][k / 3].powi(-2);
             hessian[(i, i)] += information;
             gradient[i] += information * changes[i / UNKNOWNS][k];
         }
@@ -311,6 +319,24 @@ impl<'a> Problem<'a> {
             }
             self.measure_sigma();
             errors = Some((0..free.len()).map(|index| of_parts(&covariance, index)).collect());
+        }
+        errors
+    }
+
+    /// Corrects cameras again that were turned or moved farther than the prior expects. Returns their standard errors; none if
+    /// there are no such cameras.
+    fn relax(&mut self, free: &[usize]) -> Vec<[f64; 3]> {
+        let mut errors = Vec::new();
+        for _ in 0..RELAXATIONS {
+            let sizes: Vec<[f64; 3]> = free.iter().map(|&i| parts(&self.change(i))).collect();
+            if sizes.iter().all(|size| size[0] < PRIOR[0] && size[1] < PRIOR[1]) {
+                break;
+            }
+            for (&i, size) in free.iter().zip(sizes) {
+                let [turn, shift, focal] = PRIOR;
+                self.prior[i] = [turn.max(size[0]), shift.max(size[1]), focal];
+            }
+            errors = self.adjust(free).unwrap_or_default();
         }
         errors
     }
@@ -405,7 +431,8 @@ mod tests {
         let (view, point) = ((0, Vector2::new(0.1, -0.2)), Vector3::new(0.3, 0.9, -0.5));
         let at = |change: &Change| {
             let (cameras, points, sigma) = (original.to_vec(), Vec::new(), vec![1.0]);
-            let mut problem = Problem { original: &original, cameras, points, sigma };
+            let prior = vec![PRIOR];
+            let mut problem = Problem { original: &original, cameras, points, sigma, prior };
             problem.apply(0, change);
             let (residual, by_q, by_focal) = problem.residual(&view, &point).unwrap();
             (residual, by_camera(&(turn * point + shift), &by_q, &by_focal))

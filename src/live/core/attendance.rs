@@ -6,7 +6,11 @@ use super::port::{Output, wire_known};
 use super::publication::Content;
 use super::sharing::solver_of;
 use crate::core::stage::{Attendance, Life, PerformerId, Presence, Stage};
+use crate::core::time::Nanos;
 use crate::io::wire::{self, StagePerformer, StageStatus};
+
+/// Who was not seen for this long is lost.
+const LOST: Nanos = Nanos::from_ms(2000);
 
 impl Core {
     /// Publishes who is there.
@@ -64,9 +68,8 @@ impl Core {
         let state = other.map(|other| &*other.tracker_state).or(own_state);
         let residual_px = other.map(|other| other.residual_px).or(own.map(|own| own.residual_px));
         let unseen = self.clock.capture_time(self.now) - seen;
-        // Without frames nobody is seen, however long.
-        let is_idle = state.is_some_and(|state| state == "idle");
-        let life = if is_idle && life.is_here() { Life::Lost } else { life };
+        // Without frames the stage does not know that time goes on.
+        let life = if life.is_here() && unseen > LOST { Life::Lost } else { life };
         StagePerformer {
             name,
             life: life.name().to_owned(),

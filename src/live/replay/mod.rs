@@ -95,7 +95,7 @@ pub struct Replayed {
     pub outputs: Vec<Recorded>,
     /// Whether the journal reaches the end of the node or of the take.
     pub is_whole: bool,
-    /// Ids of other runs of this node in the recording: it was started again.
+    /// Ids of later runs of this node that no take began: it was started again.
     pub others: Vec<String>,
     /// What was missing, if the replay stopped early.
     pub gap: Option<Gap>,
@@ -158,7 +158,7 @@ struct Entries {
     entries: Vec<JournalEntry>,
     /// Number of the first missing part, if later ones are there.
     missing: Option<u64>,
-    /// Ids of the other runs of the node that are there from their beginning.
+    /// Ids of the later runs that are of no take.
     others: Vec<String>,
 }
 
@@ -191,21 +191,29 @@ fn journal(
         (format!("{id:016x}"), take.to_owned())
     };
     let names: Vec<(String, String)> = runs.iter().map(named).collect();
+    let begins: Vec<i64> = runs.values().map(begin_of).collect();
     let is_asked = |(id, take): &(String, String)| asked.is_none_or(|run| run == id || run == take);
     let mut fitting = runs.into_values().zip(&names).filter(|(_, name)| is_asked(name));
-    let (Some((parts, (own, _))), None) = (fitting.next(), fitting.next()) else {
+    let (Some((parts, _)), None) = (fitting.next(), fitting.next()) else {
         let list = names.iter().map(|(id, take)| match take.as_str() {
             "" => id.clone(),
             take => format!("{id} (take {take})"),
         });
         return Err(ReplayError::SeveralRuns { found: list.collect::<Vec<_>>().join(", ") });
     };
-    let count = parts.len() as u64;
+    let (own, count) = (begin_of(&parts), parts.len() as u64);
     let whole = parts.keys().zip(0..).take_while(|(number, expected)| *number == expected).count();
     let entries = parts.into_values().take(whole).flat_map(|part| part.entries).collect();
     let whole = whole as u64;
-    let others = names.iter().map(|(id, _)| id).filter(|id| *id != own).cloned().collect();
+    let is_later = |(name, begin): &(&(String, String), i64)| name.1.is_empty() && *begin > own;
+    let others = names.iter().zip(begins).filter(is_later).map(|(name, _)| name.0.clone());
+    let others = others.collect();
     Ok(Entries { entries, missing: (whole < count).then_some(whole), others })
+}
+
+/// The node's time of the first entry, ns.
+fn begin_of(parts: &BTreeMap<u64, Journal>) -> i64 {
+    parts.values().flat_map(|part| &part.entries).map(|entry| entry.time_ns).next().unwrap_or(0)
 }
 
 fn start_of(parts: &BTreeMap<u64, Journal>) -> Option<&JournalStart> {

@@ -223,8 +223,7 @@ def read_motions(path: _Path) -> dict[str, Motion]:
 
 @final
 class Pose:
-    """A pose of a performer at a time; arrays as those of `Motion`. A provisional pose is followed by a final
-    one of the same time."""
+    """A pose of a performer at a time; arrays as those of `Motion`."""
 
     @property
     def performer(self) -> str: ...
@@ -232,8 +231,6 @@ class Pose:
     def time_ns(self) -> int: ...
     @property
     def state(self) -> _State: ...
-    @property
-    def provisional(self) -> bool: ...
     @property
     def positions(self) -> NDArray[np.float64]: ...
     @property

@@ -52,7 +52,11 @@ impl People {
         let places = self.members.iter().filter(is_other).filter_map(|one| one.person.place());
         let places: Vec<String> =
             places.map(|at| format!("somebody at {:.2},{:.2}", at[0], at[1])).collect();
-        if places.is_empty() { "only performers".to_owned() } else { places.join("; ") }
+        match places.is_empty() {
+            true if self.members.is_empty() => "nobody".to_owned(),
+            true => "only performers".to_owned(),
+            false => places.join("; "),
+        }
     }
 
     /// A performer is one no more, and does not become one again unless somebody follows it. Returns the time of the

@@ -199,9 +199,13 @@ impl People {
             ..Known::default()
         };
         let absent = absent.map(|one| {
-            let person = self.dropped(one).unwrap_or(&one.person);
+            let here = self.dropped(one);
+            let person = here.unwrap_or(&one.person);
             let known = Known { dropped: one.is_unwanted, ..known(one.performer, person) };
-            if one.is_elsewhere { Known { points: [None; KEYPOINTS], ..known } } else { known }
+            match one.is_elsewhere && here.is_none() {
+                true => Known { points: [None; KEYPOINTS], ..known },
+                false => known,
+            }
         });
         let present = self.members.iter().filter_map(|member| match member.role {
             Role::Performer(performer) => Some(known(performer, &member.person)),
@@ -221,6 +225,17 @@ impl People {
         member.map(|member| &member.person)
     }
 
+    /// Those of the dropped in view who go away are remembered where they are.
+    fn keep_dropped(&mut self, goes: impl Fn(&Person) -> bool) {
+        for index in 0..self.absent.len() {
+            if let Some(person) = self.dropped(&self.absent[index]).filter(|one| goes(one)).cloned()
+            {
+                let one = &mut self.absent[index];
+                (one.person, one.is_interrupted, one.is_elsewhere) = (person, true, false);
+            }
+        }
+    }
+
     /// These performers were seen before.
     pub(super) fn know(&mut self, known: &[Known], cameras: usize) {
         for one in known {
@@ -237,12 +252,7 @@ impl People {
 
     /// Nobody is in view any more. Capture times are later by `by` from here on.
     pub(super) fn restart(&mut self, by: Nanos) {
-        for index in 0..self.absent.len() {
-            if let Some(person) = self.dropped(&self.absent[index]).cloned() {
-                let one = &mut self.absent[index];
-                (one.person, one.is_interrupted) = (person, true);
-            }
-        }
+        self.keep_dropped(|_| true);
         for member in std::mem::take(&mut self.members) {
             if let Role::Performer(performer) = member.role {
                 let absent = Absent::new(performer, member.person);
@@ -402,6 +412,7 @@ impl People {
     /// Members who were not seen for too long go; performers who were not seen for much longer have left.
     fn lose(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
         let [doubtful, lost] = [DOUBTFUL, LOST].map(|time| self.at_least(time));
+        self.keep_dropped(|person| person.unseen(at) > lost);
         let is_gone = |member: &mut Member| {
             let longest = match member.role {
                 // Slow cameras have fewer frames.

@@ -41,11 +41,10 @@ impl Solver {
         let noise = job.noise.variance_px(self.config.reference_residual_px);
         let constant = CONSTANT * solved.skeleton.keypoint_offsets().root_mean_square();
         let rest = constant * constant + MODEL_M * MODEL_M;
-        let (seen, mut joint) = (seen(points), 0..);
-        Some(variances.map(|variance| {
-            let is_seen = joint.next().is_some_and(|joint: usize| seen[joint]);
-            let unseen = if is_seen { 0.0 } else { UNSEEN_M * UNSEEN_M };
-            libm::sqrt(RANDOM * RANDOM * noise * variance + rest + unseen)
+        let seen = seen(points);
+        Some(std::array::from_fn(|joint| {
+            let unseen = if seen[joint] { 0.0 } else { UNSEEN_M * UNSEEN_M };
+            libm::sqrt(RANDOM * RANDOM * noise * variances[joint] + rest + unseen)
         }))
     }
 }

@@ -194,8 +194,8 @@ impl Parts {
             return Ok(());
         }
         if is_binary_colmap(file) {
-            let what = "COLMAP's binary form is not read; convert it to text: colmap model_converter \
-                        --input_path DIR --output_path DIR --output_type TXT";
+            let what = "COLMAP's binary form is not read; convert it with its model_converter, output \
+                        type TXT";
             return Err(Fault::Text(what.into()));
         }
         let xml = match content(bytes, &name)? {

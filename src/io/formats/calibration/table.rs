@@ -239,7 +239,12 @@ fn stereo(tree: &Value) -> Option<[Map<String, Value>; 2]> {
         let own = fields.iter().filter_map(|(key, value)| {
             let key = key.strip_suffix(number)?;
             let key = if key == "M" { "matrix" } else { key };
-            let is_inside = matches!(canonical(key), Some("matrix" | "distortions"));
+            let count = numbers(value).map_or(0, |numbers| numbers.len());
+            let is_inside = match canonical(key)? {
+                "matrix" => count == 9,
+                "distortions" => count >= 4,
+                _ => false,
+            };
             is_inside.then(|| (key.to_owned(), value.clone()))
         });
         own.collect()
@@ -256,7 +261,9 @@ fn stereo(tree: &Value) -> Option<[Map<String, Value>; 2]> {
         second
             .extend([("R", rotation), ("T", translation)].map(|(k, v)| (k.to_owned(), v.clone())));
     }
-    for (key, value) in fields.iter().filter(|(key, _)| canonical(key) == Some("size")) {
+    let of_both = ["size", "width", "height", "fisheye", "model"];
+    let is_of_both = |key: &str| canonical(key).is_some_and(|field| of_both.contains(&field));
+    for (key, value) in fields.iter().filter(|(key, _)| is_of_both(key)) {
         first.insert(key.clone(), value.clone());
         second.insert(key.clone(), value.clone());
     }

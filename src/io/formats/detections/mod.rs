@@ -116,7 +116,7 @@ pub struct DetectionOptions {
     pub mapping: Option<PathBuf>,
     /// Folders or files, and the cameras that they are of.
     pub cameras: Vec<(String, String)>,
-    /// Refuse broken files, and a calibration with more cameras than there are detections of.
+    /// Refuse broken files, cameras without detections, and detections without a calibrated camera.
     pub strict: bool,
 }
 

@@ -116,7 +116,7 @@ fn frames(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
 /// Files of frames by the videos after which they are named: `cam01_12.txt` is of `cam01`.
 fn by_video(files: Vec<PathBuf>) -> Vec<Source> {
     let mut videos = BTreeMap::<PathBuf, Vec<PathBuf>>::new();
-    for path in files {
+    for path in files.into_iter().filter(|path| frame_number(&file_name(path)).is_some()) {
         let video = path.with_file_name(video_name(&file_name(&path)));
         videos.entry(video).or_default().push(path);
     }
@@ -128,7 +128,13 @@ fn by_video(files: Vec<PathBuf>) -> Vec<Source> {
 pub(super) fn not_understood(root: &Path) -> String {
     const NAMED: usize = 3;
     let all = entries(root).unwrap_or_default();
-    let is_other = |path: &&PathBuf| is_frame(path) && !holds_all(path, true);
+    let is_other = |path: &&PathBuf| {
+        let file = fs::read(path).ok().filter(|_| ending(path) == "json" && !path.is_dir());
+        file.and_then(|bytes| json::parse(&bytes).ok()).is_some_and(|file| {
+            let is_one = json::people(&file, [1, 1], &mut CameraReport::default()).is_ok();
+            json::frames(&file).is_none() && !is_one
+        })
+    };
     let names: Vec<String> = all.iter().filter(is_other).map(|path| file_name(path)).collect();
     match names.len() {
         0 => String::new(),
@@ -148,6 +154,14 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
         if let Some(found) = shared_file(&place)? {
             return Ok(found);
         }
+    }
+    // A detector has put the frames of all videos into one folder.
+    let together = frames(root)?.into_iter().filter(|path| !holds_all(path, false));
+    let together = by_video(together.collect());
+    let has_frames =
+        |one: &Source| matches!(&one.content, Content::Files(files) if files.len() > 1);
+    if together.len() > 1 && together.iter().all(has_frames) {
+        return Ok((together, None));
     }
     let mut found = Vec::new();
     let mut add = |path, content| found.push(Source { path, has_name: true, content });
@@ -184,20 +198,23 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
     }
     if found.is_empty() {
         // The folder of a trial.
-        let mut inner = TRIAL.into_iter().map(|inner| root.join(inner));
-        if let Some(inner) = inner.find(|inner| inner.is_dir()) {
-            return sources(&inner);
+        let mut empty = None;
+        for inner in TRIAL.map(|inner| root.join(inner)).into_iter().filter(|inner| inner.is_dir())
+        {
+            match sources(&inner) {
+                Err(error @ ImportError::NoCameraFolders { .. }) => empty = Some(error),
+                found => return found,
+            }
+        }
+        if let Some(error) = empty {
+            return Err(error);
         }
     }
-    // A detector has put the frames of all videos into one folder.
-    let together = match &mut found[..] {
-        [] => frames(root)?,
-        [Source { content: Content::Files(files), .. }] => files.clone(),
-        _ => Vec::new(),
-    };
-    let together = by_video(together);
-    if together.len() > 1 {
-        found = together;
+    if let [Source { content: Content::Files(files), .. }] = &found[..] {
+        let together = by_video(files.clone());
+        if together.len() > 1 {
+            found = together;
+        }
     }
     if found.is_empty() {
         let not_understood = not_understood(root);

@@ -101,7 +101,10 @@ fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
     let is_time = |name: &&str| TIMES.contains(&&*plain(name));
     let width = lines.iter().take(at_top.max(1)).map(csv::StringRecord::len).max().unwrap_or(0);
     let is_empty = |line: &csv::StringRecord| line.iter().all(|cell| cell.trim().is_empty());
-    let rows = lines.iter().enumerate().skip(at_top.max(1)).filter(|(_, line)| !is_empty(line));
+    // Without numbers, an empty row is a frame in which nobody is seen.
+    let is_numbered = ["frame", "image", "index"].iter().any(|field| fields.contains_key(field));
+    let is_row = |(_, line): &(usize, &csv::StringRecord)| !is_numbered || !is_empty(line);
+    let rows = lines.iter().enumerate().skip(at_top.max(1)).filter(is_row);
     let texts = |field: &str| -> Option<Vec<&str>> {
         let at = *fields.get(field)?;
         Some(rows.clone().map(|(_, line)| line.get(at).unwrap_or_default().trim()).collect())
