@@ -24,8 +24,8 @@ turned, scaled or stretched images, left and right exchanged, another camera's i
 that are off or run too fast, lost frames, a wrong convention or unit of its pose, a wrong focal length,
 principal point or distortion, and a camera that was turned or moved. If a fault begins or ends during
 the recording, the time is named. Faults of the whole recording are named too: its scale, up axis,
-keypoint order, shuffled or repeated frames. Of a camera that sees people, but none where the others see
-somebody, only this is said.
+keypoint order, shuffled or repeated frames. A camera that sees people, but not where the others see
+somebody, is named without a cause.
 
 With two cameras it is not known which one is wrong: what would make them agree is listed. If that is
 only a shift of the capture times, one of the two is named. An error is named from about 2 % of the

@@ -76,9 +76,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = arguments.bus.settings()?;
     let topics = topics(&config);
     if arguments.bus.actor().is_some() {
+        let Topics { stage, actor } = &topics;
         let text = format!(
-            "--actor: all performers are recorded; choose one with --topics '{}'",
-            topics.pose().replace("/pose", "/**")
+            "--actor: all performers are recorded; choose one with --topics \
+             'mocap/{stage}/actor/{actor}/**'"
         );
         return Err(Failure::new(Exit::Usage, text));
     }

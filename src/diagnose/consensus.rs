@@ -329,7 +329,7 @@ impl<'a> Scene<'a> {
         self.instants.iter().zip(points).map(at).collect()
     }
 
-    /// Whether a camera sees people when the points should be in its image, but hardly ever at their place.
+    /// Whether a camera sees people while the points should be in its image, but hardly ever at these points.
     pub(super) fn sees_others(&self, camera: usize, points: &[Points]) -> bool {
         let (reading, track) = (&self.readings[camera], &self.footage.tracks[camera]);
         let of = &reading.camera;

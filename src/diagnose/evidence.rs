@@ -194,7 +194,7 @@ impl Evidence {
         let is_crowd = several as f64 > SEVERAL * all as f64;
         let judged = |alone: &Footage, footage: &Footage| {
             let everybody = if is_crowd { &self.everybody } else { &self.largest };
-            check((&self.largest, everybody), alone, footage, rig)
+            check(&self.largest, everybody, alone, footage, rig)
         };
         let Some((mover, others)) = enough.split_first().filter(|_| is_crowd) else {
             return Check::of_performers(vec![judged(&self.largest, &self.largest)]);

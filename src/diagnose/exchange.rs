@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 
 use super::consensus::{FAR, MEMBER, Points, Scene, errors};
 
-/// Orders that are looked at closely: somebody else may be where the performer of a wrong pair seems to be.
+/// Orders that are checked with all cameras. The best one for a pair of cameras may be wrong.
 const MOST_ORDERS: usize = 6;
 
 impl Scene<'_> {

@@ -47,7 +47,7 @@ const INSTANTS: usize = 60;
 const LOOSELY_PERCENT: f64 = 60.0;
 /// A check in which fewer points agree does not clear a camera that another check finds wrong.
 const LEAST_PERCENT: f64 = 30.0;
-/// Of a camera that is somewhere else, a smaller share agrees.
+/// Below this, a camera does not see the performer of the others.
 const NONE_PERCENT: f64 = 10.0;
 /// If no two cameras agree at more than this part of the times at which two see somebody, something is wrong.
 const MOST_DISAGREEING: f64 = 0.15;
@@ -177,14 +177,14 @@ impl Check {
         findings.any(|finding| MOTION.contains(&finding.cause))
     }
 
-    /// Whether nothing is wrong, and no camera sees others than the rest.
+    /// Whether it judges all cameras: nothing is wrong, and no camera sees others than the rest.
     fn is_of_all(&self) -> bool {
         self.is_clean() && self.cameras.iter().all(|camera| !camera.sees_others)
     }
 
-    /// Combines the checks by several performers, the one who moves most first. Performers whom different cameras see may be
-    /// one person in two places: of a camera that sees others, and shares no performer with the first one's cameras, that is
-    /// said.
+    /// Combines the checks by several performers; the one who moves most is first. With a wrong calibration, one person may
+    /// seem to be two performers in two places, each in other cameras. So a camera that sees others, and shares no performer
+    /// with the cameras of the first one, has a finding.
     fn of_performers(mut checks: Vec<Self>) -> Self {
         let agreeing = |check: &Self| -> Vec<usize> {
             let cameras = check.cameras.iter().enumerate();
@@ -205,12 +205,12 @@ impl Check {
         for ((index, camera), sees_others) in all.cameras.iter_mut().enumerate().zip(see_others) {
             let is_apart = sees_others && !first.contains(&index) && first.len() > 1;
             if is_apart && camera.findings.is_empty() {
-                // They are of its agreement with others who are apart.
+                // It agrees with other cameras that are apart.
                 (camera.agreeing_percent, camera.error_px) = (None, None);
                 camera.findings.push(Finding::new(
                     "apart",
-                    "nobody whom it sees is where other cameras see somebody",
-                    "is its calibration of this take, does its clock agree, and does it look at the same place?",
+                    "it sees people, but not where the other cameras see somebody",
+                    "is its calibration of this take, is its clock right, and does it look at the same place?",
                 ));
             }
         }
@@ -296,7 +296,8 @@ impl CameraCheck {
 /// Judges the cameras of a rig: by all their frames, with the largest people and with everybody, by the frames in which
 /// somebody is `alone`, and by what they saw of one performer, where each may be anybody in its frame.
 fn check(
-    (frames, everybody): (&Footage, &Footage),
+    frames: &Footage,
+    everybody: &Footage,
     alone: &Footage,
     footage: &Footage,
     rig: &Rig,

@@ -147,7 +147,7 @@ pub fn solve_group(
         summary.notes.extend(silent.iter().cloned().chain(recording.rig_note()));
         summary.notes.extend(notes.iter().map(|note| format!("{note}; its times are corrected")));
         summary.notes.extend(check.warnings());
-        // Somebody of several may not be seen by all.
+        // One of several performers may not be in the view of each camera.
         if is_alone {
             summary.notes.extend(fits);
         }

@@ -33,7 +33,7 @@ impl Bin for WindowSummary {
     }
 }
 
-/// Median errors above this part of the performer's height are no errors of a detector.
+/// Larger median errors, as parts of the performer's height, are not those of a detector.
 const FAR: f64 = 0.05;
 
 /// Reprojection errors of a camera in windows that are not lost, pixels.

@@ -98,7 +98,7 @@ struct Bridge {
     bodies: BTreeMap<String, Skeleton>,
     first: Option<Timestamp>,
     count: Count,
-    /// Names that somebody asked for and nobody has had yet, with those of before, and when.
+    /// New names that were asked for: the name before, and when. A name is removed with its first pose.
     renamed: BTreeMap<String, (String, Instant)>,
 }
 
@@ -224,11 +224,11 @@ impl Bridge {
         }
     }
 
-    /// A performer who has got this name keeps its address.
+    /// The first pose under a new name goes to the address of the name before.
     fn follow_name(&mut self, actor: &str) {
         let Some((before, asked)) = self.renamed.remove(actor) else { return };
         let is_of = |one: &Target, name: &str| one.performer.as_deref() == Some(name);
-        // Somebody has the name, or comes later: the command was refused.
+        // Another performer had the name, or got it later: the command was refused.
         let is_known = self.targets.iter().any(|one| is_of(one, actor));
         if is_known || self.count.without.contains_key(actor) || asked.elapsed() > GONE {
             return;

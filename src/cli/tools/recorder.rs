@@ -120,8 +120,9 @@ pub(crate) struct Recorder {
     room: Room,
     /// Topics above the limit are not said again.
     is_skipping_said: bool,
-    /// Whether a take may run whose start this recorder has not seen; statuses that say so, by topic.
+    /// Whether a take may run that began before this recorder.
     may_join: bool,
+    /// By topic of a status with such a take, the node's time, ns.
     running: BTreeMap<Arc<str>, i64>,
 }
 
@@ -168,7 +169,8 @@ impl Recorder {
         self.all.iter_mut().chain(take).chain(ending)
     }
 
-    /// Writes a message to the open files. If a node says that a take runs that began before this recorder, opens its file.
+    /// Writes a message to the open files. Before that, opens a file for a take that began before this recorder, if a node
+    /// says so.
     pub(crate) fn write(&mut self, entry: RawEntry) -> Result<Vec<Said>, RecordError> {
         let said = self.join(&entry)?;
         for file in self.files() {
@@ -216,7 +218,7 @@ impl Recorder {
         let said = self.begin(&Take { name: name.clone(), ..Take::default() }, entry.log_time)?;
         let as_warning = |said| match said {
             Said::Answer(_, Ok(text)) => Said::Warning(format!(
-                "take {name} began before this recorder: {text}; the frames before are not there"
+                "take {name} began before this recorder: {text}; earlier frames are not in the file"
             )),
             Said::Answer(_, Err(text)) | Said::Warning(text) => Said::Warning(text),
         };

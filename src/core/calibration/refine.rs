@@ -26,7 +26,7 @@ const STEP: Nanos = Nanos::from_ms(100);
 const UNKNOWNS: usize = 7;
 /// Standard deviations of the prior: 1 degree, 2 cm, 2 %.
 const PRIOR: [f64; 3] = [0.017453292519943295, 0.02, 0.02];
-/// A significant correction that is larger is held by a prior of its own size, which is estimated so many times.
+/// A significant correction that is larger gets a prior of its own size. Both are estimated so many times.
 const RELAXATIONS: usize = 4;
 /// Corrections below these are not significant: 0.1 degrees, 5 mm, 0.3 %.
 const LEAST: [f64; 3] = [0.0017453292519943296, 0.005, 0.003];

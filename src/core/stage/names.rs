@@ -55,7 +55,7 @@ impl Names {
         self.given.resize(most, String::new());
         let name = if is_own { "" } else { name };
         let before = std::mem::replace(&mut self.given[performer.0], name.to_owned());
-        // A name that somebody has taken away is for nobody who just enters.
+        // Nobody who enters gets a name that was taken away.
         self.waiting.retain(|waiting| *waiting != before || before == name);
         Ok(())
     }

@@ -217,7 +217,7 @@ impl Person {
 
     /// The points at another time.
     pub(super) fn predicted(&self, at: Timestamp) -> Points {
-        // After a pause of all cameras nobody knows how far.
+        // After a pause of all cameras, nobody knows how far the person went.
         let seconds = at.seconds_since(self.at).min(DECAY_S);
         // The velocity decays only while nothing is seen.
         let unseen = self.at.seconds_since(self.seen).max(0.0);

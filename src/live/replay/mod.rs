@@ -158,7 +158,7 @@ struct Entries {
     entries: Vec<JournalEntry>,
     /// Number of the first missing part, if later ones are there.
     missing: Option<u64>,
-    /// Ids of the later runs that are of no take.
+    /// Ids of the later runs without a take.
     others: Vec<String>,
 }
 

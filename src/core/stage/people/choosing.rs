@@ -11,7 +11,7 @@ const NEAR_M: f64 = 1.0;
 /// Why nobody at a place becomes a performer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FollowError {
-    /// Nobody is there.
+    /// Nobody is there. Of those who are no performers, the places, metres, in words.
     #[error("nobody is seen within {NEAR_M} m of this place; seen are: {0}")]
     Nobody(String),
     /// The person there is a performer.

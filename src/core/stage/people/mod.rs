@@ -225,7 +225,7 @@ impl People {
         member.map(|member| &member.person)
     }
 
-    /// Those of the dropped in view who go away are remembered where they are.
+    /// Remembers where dropped performers are who are in view and go away.
     fn keep_dropped(&mut self, goes: impl Fn(&Person) -> bool) {
         for index in 0..self.absent.len() {
             if let Some(person) = self.dropped(&self.absent[index]).filter(|one| goes(one)).cloned()

@@ -92,11 +92,9 @@ impl Tables {
     /// Adds the cameras of a file. `name`: of the camera, if the file is one camera's. `set`: see
     /// [`Convention`](super::Convention).
     pub fn add(&mut self, tree: &Value, name: &str, set: Option<&str>) -> Result<(), Fault> {
-        if let Some(pair) = stereo(tree) {
-            let both = pair.into_iter().zip(["camera1", "camera2"]);
-            return both
-                .into_iter()
-                .try_for_each(|(fields, name)| self.put(name, fields, &["", ""]));
+        if let Some([first, second]) = stereo(tree) {
+            self.put("camera1", first, &["", ""])?;
+            return self.put("camera2", second, &["", ""]);
         }
         match names_of_easymocap(tree) {
             Some(names) => names.into_iter().try_for_each(|name| {

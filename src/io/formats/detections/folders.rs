@@ -100,7 +100,7 @@ pub(super) fn match_folders(
         (0..rig.cameras.len()).filter(|i| !camera_of.contains(&Some(*i))).collect();
     free.sort_by_cached_key(|&i| natural_key(&rig.cameras[i].name));
     let left: Vec<usize> = (0..folders.len()).filter(|&i| camera_of[i].is_none()).collect();
-    // What is left when each camera has its own is of none.
+    // If each camera has its own, the rest is of cameras that are not calibrated.
     if left.len() > free.len() && !free.is_empty() {
         let names = |of: &mut dyn Iterator<Item = String>| of.collect::<Vec<_>>().join(", ");
         return Err(ImportError::CameraWithoutCalibration {
@@ -216,7 +216,7 @@ pub(super) fn frame_number(name: &str) -> Option<u64> {
     numbers(name).next_back()?.parse().ok()
 }
 
-/// What is before the last run of digits of a file's name: of `cam1_000012_keypoints.json`, `cam1`.
+/// The part of a file's name before the frame number: `cam1` in `cam1_000012_keypoints.json`.
 pub(super) fn video_name(name: &str) -> &str {
     let begin = numbers(name).next_back().map_or(0, |last| name.rfind(last).unwrap_or_default());
     name[..begin].trim_end_matches(['_', '-', '.', ' '])

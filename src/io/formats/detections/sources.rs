@@ -19,7 +19,7 @@ pub(super) struct Source {
     content: Content,
 }
 
-/// Folders of detections in that of a trial of Pose2Sim; what is synchronised comes first.
+/// Subfolders with detections in a trial's folder of Pose2Sim; the synchronised ones come first.
 pub(super) const TRIAL: [&str; 2] = ["pose-sync", "pose"];
 
 /// The files of all cameras, and the names of their points if they have some.
@@ -113,7 +113,7 @@ fn frames(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
     Ok(entries(folder)?.into_iter().filter(|file| is_frame(file)).collect())
 }
 
-/// Files of frames by the videos after which they are named: `cam01_12.txt` is of `cam01`.
+/// Groups files of frames by the video in their names: `cam01_12.txt` is of `cam01`.
 fn by_video(files: Vec<PathBuf>) -> Vec<Source> {
     let mut videos = BTreeMap::<PathBuf, Vec<PathBuf>>::new();
     for path in files.into_iter().filter(|path| frame_number(&file_name(path)).is_some()) {
@@ -124,7 +124,7 @@ fn by_video(files: Vec<PathBuf>) -> Vec<Source> {
     videos.into_iter().map(source).collect()
 }
 
-/// Files of a folder that hold no detections that are known, for a message; empty without any.
+/// The end of a message: JSON files of a folder that hold no known form of detections. Empty if there are none.
 pub(super) fn not_understood(root: &Path) -> String {
     const NAMED: usize = 3;
     let all = entries(root).unwrap_or_default();
@@ -156,10 +156,11 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
         }
     }
     // A detector has put the frames of all videos into one folder.
-    let together = frames(root)?.into_iter().filter(|path| !holds_all(path, false));
-    let together = by_video(together.collect());
-    let has_frames =
-        |one: &Source| matches!(&one.content, Content::Files(files) if files.len() > 1);
+    let together = by_video(frames(root)?);
+    let has_frames = |one: &Source| match &one.content {
+        Content::Files(files) => files.len() > 1 && !holds_all(&files[0], false),
+        _ => false,
+    };
     if together.len() > 1 && together.iter().all(has_frames) {
         return Ok((together, None));
     }

@@ -249,8 +249,7 @@ fn seen(x: f64, y: f64, c: f64, report: &mut CameraReport) -> Option<Detection> 
 }
 
 /// Reads a numpy array of cameras x frames x points x 2 or 3 (FreeMoCap's 2D data), or of frames x points x 2 or
-/// 3. The third number is the confidence, unless it is a depth: then some are negative, or all are 0. The cameras have no
-/// names.
+/// 3. The third number is the confidence. It is a depth if some are negative, or all are 0. The cameras have no names.
 ///
 /// # Errors
 /// It is no such array.
