@@ -182,28 +182,31 @@ impl Check {
         self.is_clean() && self.cameras.iter().all(|camera| !camera.sees_others)
     }
 
+    /// The cameras that agree on the performer.
+    fn agreeing(&self) -> impl Iterator<Item = usize> {
+        let cameras = self.cameras.iter().enumerate();
+        cameras.filter(|(_, camera)| camera.agrees()).map(|(camera, _)| camera)
+    }
+
     /// Combines the checks by several performers; the one who moves most is first. With a wrong calibration, one person may
-    /// seem to be two performers in two places, each in other cameras. So a camera that sees others, and shares no performer
-    /// with the cameras of the first one, has a finding.
+    /// seem to be two performers in two places, each in other cameras. So a performer counts only if a camera that agrees on
+    /// it agrees on the first one too, or on another one who counts. A camera that sees others, and agrees on nobody who
+    /// counts, has a finding.
     fn of_performers(mut checks: Vec<Self>) -> Self {
-        let agreeing = |check: &Self| -> Vec<usize> {
-            let cameras = check.cameras.iter().enumerate();
-            cameras.filter(|(_, camera)| camera.agrees()).map(|(camera, _)| camera).collect()
-        };
-        let mut groups: Vec<Vec<usize>> = checks.iter().map(agreeing).collect();
-        let mut first = groups.remove(0);
-        let shares = |all: &[usize], group: &Vec<usize>| group.iter().any(|one| all.contains(one));
-        while let Some(at) = groups.iter().position(|group| shares(&first, group)) {
-            first.extend(groups.swap_remove(at));
+        let mut all = checks.remove(0);
+        let mut agreeing: Vec<usize> = all.agreeing().collect();
+        let (is_clean, see_others) =
+            (all.is_clean(), all.cameras.iter().map(|one| one.sees_others));
+        let see_others: Vec<bool> = see_others.collect();
+        let counts =
+            |agreeing: &[usize], check: &Self| check.agreeing().any(|one| agreeing.contains(&one));
+        while let Some(at) = checks.iter().position(|check| counts(&agreeing, check)) {
+            let check = checks.remove(at);
+            agreeing.extend(check.agreeing());
+            all = if is_clean { all } else { all.joined(check) };
         }
-        let mover = checks.remove(0);
-        let see_others: Vec<bool> = mover.cameras.iter().map(|one| one.sees_others).collect();
-        let mut all = match mover.is_clean() {
-            true => mover,
-            false => checks.into_iter().fold(mover, Self::joined),
-        };
         for ((index, camera), sees_others) in all.cameras.iter_mut().enumerate().zip(see_others) {
-            let is_apart = sees_others && !first.contains(&index) && first.len() > 1;
+            let is_apart = sees_others && !agreeing.contains(&index) && agreeing.len() > 1;
             if is_apart && camera.findings.is_empty() {
                 // It agrees with other cameras that are apart.
                 (camera.agreeing_percent, camera.error_px) = (None, None);
@@ -403,4 +406,43 @@ fn wrong_format(scene: &Scene, consensus: &consensus::Consensus, now: f64) -> Op
             Finding::new("keypoint_order", what, format!("import with --format {other}"))
         })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Four cameras; these agree on a performer, and these see others.
+    fn check(agreeing: [usize; 2], others: &[usize]) -> Check {
+        let camera = |index: usize| CameraCheck {
+            camera: format!("cam{index}"),
+            agreeing_percent: agreeing.contains(&index).then_some(90.0),
+            error_px: None,
+            error_after_fix_px: None,
+            findings: Vec::new(),
+            mean_error: None,
+            times: None,
+            sees_others: others.contains(&index),
+        };
+        let cameras = (0..4).map(camera).collect();
+        let (performer_height_m, performer_up, strangeness) = (None, None, None);
+        Check { performer_height_m, performer_up, cameras, findings: Vec::new(), strangeness }
+    }
+
+    #[test]
+    fn cameras_that_share_no_performer_with_the_first_ones_are_apart() {
+        let named = |checks: Vec<Check>| -> Vec<usize> {
+            let cameras = Check::of_performers(checks).cameras;
+            let is_named = |index: &usize| {
+                cameras[*index].findings.iter().any(|finding| finding.cause == "apart")
+            };
+            (0..4).filter(is_named).collect()
+        };
+        let (mover, other) = (check([0, 1], &[2, 3]), check([2, 3], &[]));
+        assert_eq!(named(vec![mover.clone(), other.clone()]), [2, 3]);
+        // A third performer is in both pairs of cameras.
+        assert!(named(vec![mover, other.clone(), check([1, 2], &[])]).is_empty());
+        // They look at another place.
+        assert!(named(vec![check([0, 1], &[]), other]).is_empty());
+    }
 }
