@@ -17,7 +17,7 @@ use crate::cli::tools::recorder::{Recorded, Recorder, Said};
 use crate::cli::tools::room::room;
 use crate::config::Config;
 use crate::core::time::Timestamp;
-use crate::io::bus::{Bus, BusError, Publisher, matches};
+use crate::io::bus::{Bus, BusError, Guard, Publisher, matches};
 use crate::io::recording::{Provenance, RawEntry, RecordError};
 use crate::io::wire::{
     ENCODING, Schema, StageChannel, Take, TakeAnswer, Topic, Topics, decode, encode, media_type,
@@ -105,12 +105,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let what = if is_folder { "takes of " } else { "" };
     note(&format!("recording {what}{pattern} to {}; stop with Ctrl-C", path.display()));
     let (begin, line) = (Instant::now(), ticker());
-    let answers = Answers::open(&*bus, &topics)?;
+    let mut answers = Answers::open(&*bus, &topics)?;
     let room = || room(folder);
     let nothing =
         format!("no messages on {pattern}; check --stage, --topics and whether the node runs");
     let mut is_said = is_folder;
-    let (recorded, is_stopped) = record(inbox, recorder, &answers, &stop, room, |recorded| {
+    let (recorded, is_stopped) = record(inbox, recorder, &mut answers, &stop, room, |recorded| {
         line.set_message(progress(recorded, begin.elapsed()));
         if recorded.messages == 0 && begin.elapsed() > PATIENCE && !is_said {
             is_said = true;
@@ -142,12 +142,33 @@ fn provenance(config: &Config, pattern: &str) -> Provenance {
     }
 }
 
-/// Where answers to slates are published.
-struct Answers(Box<dyn Publisher>);
+/// Where answers to slates are published, and the running take is announced.
+struct Answers<'a> {
+    publisher: Box<dyn Publisher>,
+    bus: &'a dyn Bus,
+    topics: &'a Topics,
+    announced: Option<(String, Option<Box<dyn Guard>>)>,
+}
 
-impl Answers {
-    fn open(bus: &dyn Bus, topics: &Topics) -> Result<Self, BusError> {
-        Ok(Self(bus.publisher(&topics.take_answers())?))
+impl<'a> Answers<'a> {
+    fn open(bus: &'a dyn Bus, topics: &'a Topics) -> Result<Self, BusError> {
+        let publisher = bus.publisher(&topics.take_answers())?;
+        Ok(Self { publisher, bus, topics, announced: None })
+    }
+
+    /// Announces the take that is recorded: a node that starts during it takes part.
+    fn announce(&mut self, take: Option<&str>) {
+        if take == self.announced.as_ref().map(|(before, _)| before.as_str()) {
+            return;
+        }
+        let announced = |name: &str| match self.bus.announce(&self.topics.recorded_take(name)) {
+            Ok(guard) => Some(guard),
+            Err(error) => {
+                complain("warning", &format!("cannot announce the take: {error}"));
+                None
+            }
+        };
+        self.announced = take.map(|name| (name.to_owned(), announced(name)));
     }
 
     /// Answers slates, and prints the rest.
@@ -174,7 +195,7 @@ impl Answers {
     fn put(&self, answer: TakeAnswer) {
         let answer = TakeAnswer { role: "recorder".into(), ..answer };
         let encoding = media_type(TakeAnswer::FULL_NAME);
-        if let Err(error) = self.0.put(Timestamp::default(), &encoding, &encode(&answer)) {
+        if let Err(error) = self.publisher.put(Timestamp::default(), &encoding, &encode(&answer)) {
             complain("warning", &format!("cannot answer: {error}"));
         }
     }
@@ -186,7 +207,7 @@ impl Answers {
 fn record(
     mut inbox: Inbox,
     mut recorder: Recorder,
-    answers: &Answers,
+    answers: &mut Answers,
     stop: &Stop,
     room: impl Fn() -> Option<u64>,
     mut each_second: impl FnMut(&Recorded),
@@ -214,6 +235,7 @@ fn record(
             None if stop.is_set() || is_full => break,
             None => {}
         }
+        answers.announce(recorder.running());
         answers.say(recorder.tick(clock.now())?);
         if flushed.elapsed() >= FLUSH {
             flushed = Instant::now();
@@ -285,6 +307,8 @@ fn rows(path: &Path, recorded: &Recorded, elapsed: Duration) -> Vec<(String, Str
 
 #[cfg(test)]
 mod tests {
+    use std::cell::RefCell;
+
     use super::*;
     use crate::io::bus::Memory;
     use crate::io::recording::{Message, Reader, Writer};
@@ -314,9 +338,10 @@ mod tests {
         room: impl Fn() -> Option<u64>,
     ) -> Recorded {
         let (folder, topics) = (path.parent().unwrap(), Topics::default());
-        let answers = Answers::open(bus, &topics).unwrap();
-        let recorder = Recorder::start(Some(path), folder, topics, Provenance::default()).unwrap();
-        record(inbox, recorder, &answers, stop, room, |_| {}).unwrap().0
+        let mut answers = Answers::open(bus, &topics).unwrap();
+        let recorder =
+            Recorder::start(Some(path), folder, topics.clone(), Provenance::default()).unwrap();
+        record(inbox, recorder, &mut answers, stop, room, |_| {}).unwrap().0
     }
 
     #[test]
@@ -376,6 +401,25 @@ mod tests {
         let role = "recorder".into();
         let wanted = TakeAnswer { role, free_bytes: 97_000_000_000, ..TakeAnswer::default() };
         assert_eq!((answer, recorded.messages), (wanted, 0));
+    }
+
+    #[test]
+    fn a_take_is_announced_while_it_is_recorded() {
+        let folder = tempfile::tempdir().unwrap();
+        let (bus, topics) = (Memory::new(), Topics::default());
+        let inbox = Inbox::open(&bus, &topics.all()).unwrap();
+        let take = Take { action: "start".into(), name: "walk".into(), ..Take::default() };
+        let publisher = bus.publisher(&topics.take()).unwrap();
+        publisher.put(Timestamp::default(), &media_type(Take::FULL_NAME), &encode(&take)).unwrap();
+        let (stop, announced) = (Stop::default(), RefCell::default());
+        let now = || bus.announced(&topics.recorded_take("*")).unwrap();
+        let room = || {
+            announced.replace(now());
+            stop.stop();
+            None
+        };
+        recorded_until(&bus, inbox, &folder.path().join("all.mcap"), &stop, room);
+        assert_eq!((announced.into_inner(), now()), (vec![topics.recorded_take("walk")], vec![]));
     }
 
     #[test]

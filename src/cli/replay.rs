@@ -93,8 +93,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         false => Exit::Done,
     };
     let others = replayed.others.join(", ");
-    // The run was not chosen, but is that of the file's take. The next run may have begun when the recorder ended.
-    let is_part = arguments.run.is_none() && !replayed.is_whole && !others.is_empty();
+    let own = format!("{:016x}", replayed.start.run_id);
+    let is_part = arguments.run != Some(own) && !others.is_empty();
     if is_part {
         let file = arguments.file.display();
         let text = format!(

@@ -21,7 +21,7 @@ use crate::core::manifold::Decoder;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, BusError, Kind, ZenohMode};
 use crate::io::recording::last_body;
-use crate::io::wire::{self, StageStatus, Status, decode, encode};
+use crate::io::wire::{self, StageStatus, Status, Take, decode, encode};
 use crate::live::{
     self, Core, Node, NodeError, Presence, Running, Settings, SolverCore, WallClock, log, people_of,
 };
@@ -32,6 +32,8 @@ const LOOK: Duration = Duration::from_millis(200);
 const LOOKS: u32 = 2;
 /// How often a running node looks for an older one, which another network may bring.
 const ELDERS: Duration = Duration::from_secs(2);
+/// A take that was recorded at so many looks in a row began before the node: a command would have come by then.
+const LOOKS_TO_JOIN: u32 = 3;
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
 #[derive(Debug, Args)]
@@ -370,6 +372,8 @@ fn wait(
 ) -> (&'static str, Option<live::Elder>) {
     let mut looked = Instant::now();
     let mut was_connected = true;
+    // A take that it has ended is not joined again.
+    let (mut may_join, mut looks) = (true, 0);
     loop {
         if stop.is_set() {
             return ("stopped by a signal", None);
@@ -386,8 +390,18 @@ fn wait(
                 _ => {}
             }
             was_connected = is_connected;
-            if let Ok(Some(elder)) = running.elder() {
+            let elder = running.elder();
+            if let Ok(Some(elder)) = elder {
                 return ("another node publishes this performer", Some(elder));
+            }
+            may_join &= running.status().is_none_or(|status| status.take.is_empty());
+            if may_join && elder.is_ok() {
+                let take = running.recorded_take().unwrap_or_default();
+                looks = if take.is_empty() { 0 } else { looks + 1 };
+                if looks == LOOKS_TO_JOIN {
+                    let join = Take { action: "join".into(), name: take, ..Take::default() };
+                    running.monitor().order(&join);
+                }
             }
         }
         if running.over().recv_timeout(ATTENTION) == Err(RecvTimeoutError::Disconnected) {

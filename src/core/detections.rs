@@ -5,23 +5,26 @@ use std::fmt;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
+use crate::core::named;
 use crate::core::time::{TIMES_NS, Timestamp};
 
-/// The order of a detector's keypoints.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum KeypointFormat {
-    /// OpenPose BODY_25.
-    Body25,
-    /// OpenPose BODY_25B (experimental model: COCO order, upper neck and head top).
-    Body25b,
-    /// COCO, 17 points.
-    Coco17,
-    /// HALPE, 26 points: COCO-17, head top, neck, hip, feet.
-    Halpe26,
-    /// COCO-WholeBody, 133 points; the body and the feet are used, face and hands are not.
-    CocoWholebody133,
+named! {
+    /// The order of a detector's keypoints.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    #[non_exhaustive]
+    pub enum KeypointFormat {
+        /// OpenPose BODY_25.
+        Body25 = "body_25",
+        /// OpenPose BODY_25B (experimental model: COCO order, upper neck and head top).
+        Body25b = "body_25b",
+        /// COCO, 17 points.
+        Coco17 = "coco_17",
+        /// HALPE, 26 points: COCO-17, head top, neck, hip, feet.
+        Halpe26 = "halpe_26",
+        /// COCO-WholeBody, 133 points; the body and the feet are used, face and hands are not.
+        CocoWholebody133 = "coco_wholebody_133",
+    }
 }
 
 /// An anatomical point, independent of its index in a format.
@@ -131,26 +134,6 @@ const COCO_FEET: [Keypoint; 23] = [
 ];
 
 impl KeypointFormat {
-    /// Every format.
-    pub const ALL: [Self; 5] =
-        [Self::Body25, Self::Body25b, Self::Coco17, Self::Halpe26, Self::CocoWholebody133];
-
-    /// The name used on the wire, in files and on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Body25 => "body_25",
-            Self::Body25b => "body_25b",
-            Self::Coco17 => "coco_17",
-            Self::Halpe26 => "halpe_26",
-            Self::CocoWholebody133 => "coco_wholebody_133",
-        }
-    }
-
-    /// The format with a name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|format| format.name() == name)
-    }
-
     /// Number of points of a person in this format.
     #[allow(clippy::len_without_is_empty)] // A format always has points.
     pub const fn len(self) -> usize {

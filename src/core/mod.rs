@@ -17,6 +17,7 @@ pub mod limits;
 #[doc(hidden)]
 pub mod linalg;
 pub mod manifold;
+mod named;
 #[doc(hidden)]
 pub mod optimise;
 #[doc(hidden)]
@@ -27,3 +28,5 @@ pub mod so3;
 pub mod stage;
 pub mod time;
 pub mod tracker;
+
+pub(crate) use named::named;

@@ -35,7 +35,6 @@ mod markers;
 mod motion;
 mod performers;
 mod pose_errors;
-mod reprojection;
 pub mod statistics;
 mod trend;
 
@@ -58,5 +57,4 @@ pub use performers::{JointPositions, PerformerScore, PerformerScores, PerformerS
 pub use pose_errors::{
     MeanAcceleration, PoseErrorSums, PoseErrors, acceleration_error, mean_acceleration, pose_errors,
 };
-pub use reprojection::{ReprojectionErrors, ReprojectionSample};
 pub use trend::{Interval, mean_interval, slope_interval};

@@ -46,6 +46,7 @@ pub(super) struct Comparisons {
 }
 
 /// The poses of a solve: counted, compared, and written as BVH.
+#[derive(Default)]
 pub(super) struct Poses {
     bvh_path: Option<PathBuf>,
     /// The first capture time of the recording.
@@ -95,20 +96,7 @@ pub(super) struct PoseSummary {
 impl Poses {
     /// Written as BVH to a path, if given. At most `played` poses are kept for the report.
     pub(super) fn new(bvh_path: Option<PathBuf>, played: usize) -> Self {
-        Self {
-            bvh_path,
-            start: None,
-            newest: None,
-            head: Vec::new(),
-            body: None,
-            count: 0,
-            flagged: 0,
-            shown: Series::default(),
-            played: Series::up_to(played),
-            angles: Default::default(),
-            deviations: Series::default(),
-            deviations_mm: Distribution::default(),
-        }
+        Self { bvh_path, played: Series::up_to(played), ..Self::default() }
     }
 
     /// Whether any pose can be used.

@@ -131,7 +131,7 @@ fn ours(key: &str) -> Option<Joint> {
         (_, Some(rest)) => format!("r_{rest}"),
         _ => key.to_owned(),
     };
-    Joint::ALL.into_iter().find(|joint| joint.name() == short)
+    Joint::from_name(&short)
 }
 
 fn our_names() -> String {

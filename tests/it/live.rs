@@ -1259,15 +1259,76 @@ fn a_pause_or_a_restart_of_a_camera_costs_no_frame() {
     }
 }
 
+/// The windows of the body wait while it is found; they are longer than a second.
+#[test]
+fn cameras_of_low_rates_lose_no_window() {
+    for fps in [25.0, 15.0, 5.0] {
+        let world = after(Studio::at_rate(4, (12.0 * fps) as u64, fps).messages(), 12.0);
+        let events = world.heard.events();
+        assert!(!events.contains_key("dropped"), "{fps} Hz: {events:?}");
+        assert_eq!(events["acquired"], 1, "{fps} Hz: {events:?}");
+        assert!(!events.contains_key("effort"), "{:?}", world.heard.details("effort"));
+    }
+    // A window waits for a camera that sends nothing.
+    let mut studio = Studio::at_rate(4, 90, 3.0);
+    studio.frames.retain(|frame| frame.camera != 3);
+    let world = after(studio.messages(), 30.0);
+    let events = world.heard.events();
+    assert!(!events.contains_key("dropped") && events.contains_key("acquired"), "{events:?}");
+}
+
+/// Two detectors of each camera send under its name, without frame numbers.
+#[test]
+fn poses_come_although_the_frame_rate_cannot_be_measured() {
+    let mut studio = Studio::at_rate(4, 600, 30.0);
+    let again = studio.frames.clone().into_iter();
+    studio
+        .frames
+        .extend(again.map(|frame| Detections { capture: frame.capture + MS * 4, ..frame }));
+    studio.frames.iter_mut().for_each(|frame| frame.frame = 0);
+    let world = after(studio.messages(), 20.0);
+    let poses = world.heard.poses();
+    let tracked = poses.iter().filter(|(_, pose)| pose.state() == TrackingState::Tracking).count();
+    println!("{tracked} of {} poses are tracked, {:?}", poses.len(), world.heard.events());
+    assert!(tracked > 300, "{tracked} poses");
+    assert!(!world.heard.events().contains_key("effort"));
+}
+
+#[test]
+fn other_cameras_do_not_change_the_latency() {
+    let fps = 25.0;
+    let mut studio = Studio::at_rate(4, (14.0 * fps) as u64, fps);
+    let mut messages = studio.messages();
+    messages.retain(|message| message.arrival < at(6.0));
+    studio.rig.cameras[3].name = "other".into();
+    studio.rig.version += 1;
+    let later = studio.messages().into_iter().skip(1).filter(|message| message.arrival > at(6.5));
+    messages.push(Sent { arrival: at(6.2), ..studio.rig() });
+    messages.extend(later);
+    let world = after(messages, 14.0);
+    let events = world.heard.events();
+    assert_eq!((events["rig_changed"], events["acquired"]), (2, 2), "{events:?}");
+    assert!(events.contains_key("late"), "frames that waited are counted: {events:?}");
+    let latencies = world.heard.details("latency");
+    assert_eq!(latencies.len(), 1, "{latencies:?}");
+}
+
 #[test]
 fn where_the_latency_falls_no_pose_overtakes_another() {
-    let studio = Studio::new(3, 44 * 60);
+    for delay in [60, 1500] {
+        falling_latency(MS * delay);
+    }
+}
+
+/// Frames come so much later for some seconds.
+fn falling_latency(delay: Nanos) {
+    let studio = Studio::new(3, 50 * 60);
     let mut messages = studio.messages();
     for (message, frame) in messages.iter_mut().skip(1).zip(&studio.frames) {
         let is_slow = frame.capture < START + SECOND * 4;
-        message.arrival = message.arrival + if is_slow { MS * 60 } else { Nanos::ZERO };
+        message.arrival = message.arrival + if is_slow { delay } else { Nanos::ZERO };
     }
-    let world = after(messages, 44.0);
+    let world = after(messages, 50.0);
     let latencies = world.heard.details("latency");
     assert_eq!(latencies.len(), 2, "{latencies:?}");
     let mut poses = world.heard.poses();

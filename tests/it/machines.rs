@@ -3,12 +3,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use bundlemocap::io::bus::{Zenoh, ZenohConfig};
+use bundlemocap::io::bus::{Bus, Sample, Zenoh, ZenohConfig};
 use bundlemocap::io::recording::Reader;
-use bundlemocap::io::wire::{ActorChannel, HandOver, KeypointSet, Pose, Topic, decode};
+use bundlemocap::io::wire::{
+    ActorChannel, HandOver, KeypointSet, Pose, Status, Topic, Topics, decode,
+};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -24,9 +27,12 @@ impl Running {
         Self(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
     }
 
-    fn ends(&mut self) {
+    fn ends(&mut self) -> ExitStatus {
         let begin = Instant::now();
-        while self.0.try_wait().unwrap().is_none() {
+        loop {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return status;
+            }
             assert!(begin.elapsed() < PATIENCE, "it does not end");
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -145,10 +151,33 @@ fn a_standby_of_the_front_knows_the_people() {
     let recorder = start(&format!("record take.mcap --connect {address}"));
     std::thread::sleep(Duration::from_secs(1));
     let second = start("run front.toml --standby");
+    let begun = start(&format!("take start walk --connect {address}")).ends();
+    assert!(begun.success(), "{begun}");
+    let takes = Arc::<Mutex<Vec<(u64, String)>>>::default();
+    let told = Arc::clone(&takes);
+    let sink = move |sample: Sample| {
+        let status: Status = decode(&sample.payload).unwrap();
+        told.lock().unwrap().push((status.run_id, status.take));
+    };
+    let topic = Topics::new("stage", "front").unwrap().status();
+    let _listening = router.subscribe(&topic, Box::new(sink)).unwrap();
     let mut play = start(&format!("play crowd.mcap --connect {address}"));
     std::thread::sleep(Duration::from_secs(7));
     first.0.kill().unwrap();
     play.ends();
+    // The one that stood by sees that a take is recorded.
+    let takes_part = || {
+        let takes = takes.lock().unwrap();
+        let (first, last) = (&takes[0], &takes[takes.len() - 1]);
+        last.0 != first.0 && last.1 == "walk"
+    };
+    let begin = Instant::now();
+    while !takes_part() {
+        assert!(begin.elapsed() < PATIENCE, "{:?}", takes.lock().unwrap());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let stopped = start(&format!("take stop --connect {address}")).ends();
+    assert!(stopped.success(), "{stopped}");
     std::thread::sleep(Duration::from_secs(1));
     [second, solver, recorder].into_iter().for_each(Running::interrupt);
 

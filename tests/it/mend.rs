@@ -86,6 +86,9 @@ fn a_bumped_camera_is_mended_by_itself_if_set_so() {
         world.play(sent, at(end));
         println!("{:#?}", world.heard.details("camera_moved"));
         assert_mended(&world, &truth);
+        // It is used again.
+        let last = counters(&world).pop().unwrap().1;
+        assert!((0.05..5.0).contains(&last.residual_px), "{people}: {} px", last.residual_px);
     }
 }
 

@@ -418,6 +418,13 @@ fn the_second_node_of_a_performer_stands_back() {
     assert!(second.elder().unwrap().is_some());
     drop((front, standby));
     assert!(second.elder().unwrap().is_none());
+    let recorder = |take: &str| bus.announce(&studio.topics.recorded_take(take)).unwrap();
+    let (walk, _again, run) = (recorder("walk"), recorder("walk"), recorder("run"));
+    assert_eq!(second.recorded_take().unwrap(), "", "different ones");
+    drop(run);
+    assert_eq!(second.recorded_take().unwrap(), "walk");
+    drop(walk);
+    assert_eq!(second.recorded_take().unwrap(), "walk");
 }
 
 #[test]

@@ -106,6 +106,48 @@ fn each_take_has_a_journal_that_needs_nothing_of_the_time_before() {
     println!("longest time without poses: {} ms", gap.unwrap() / 1_000_000);
 }
 
+/// The node is killed during the take, or ends in order, and another one goes on.
+#[test]
+fn a_node_that_starts_during_a_take_takes_part() {
+    for in_order in [false, true] {
+        let studio = Studio::new(4, 480);
+        let (first, mut second): (Vec<_>, Vec<_>) =
+            studio.messages().into_iter().partition(|message| message.arrival < at(4.0));
+        let first: Vec<Sent> = first.into_iter().chain([slate("start", "walk", 1.0)]).collect();
+        second.push(Sent { arrival: at(4.0), ..studio.rig() });
+        second.extend([slate("join", "walk", 5.0), slate("join", "run", 6.0)]);
+        second.extend([slate("stop", "", 7.0), slate("start", "walk", 7.5)]);
+        let mut world = World::new(&Config::default());
+        world.play(first.clone(), at(4.0));
+        if in_order {
+            world.end();
+        }
+        let mut other = World::new(&Config::default());
+        other.play(second.clone(), at(8.0));
+        other.end();
+        assert_eq!(other.heard.status().take, "walk");
+        let refused: Vec<bool> = answers(&other).into_iter().map(|(refused, _)| refused).collect();
+        assert_eq!(refused, [false, true, false, false]);
+
+        let outputs = [world, other].map(|world| world.heard.messages);
+        let inputs = first.into_iter().chain(second).map(Recorded::from);
+        let recorded: Vec<Recorded> = outputs.into_iter().flatten().chain(inputs).collect();
+        let error = replayed(&recorded, Some("walk")).unwrap_err().to_string();
+        assert!(error.contains("--run"), "another take is called alike: {error}");
+        let until = |seconds: f64| -> Vec<Recorded> {
+            recorded.iter().filter(|message| message.time < at(seconds)).cloned().collect()
+        };
+        let take = until(7.4);
+        let walk = replayed(&take, Some("walk")).unwrap();
+        assert_agrees(&walk);
+        let [other] = &walk.others[..] else { panic!("{:?}", walk.others) };
+        let rest = replayed(&take, Some(other)).unwrap();
+        assert_agrees(&rest);
+        assert_eq!(rest.others, [""; 0]);
+        assert_eq!((walk.is_whole, rest.is_whole), (in_order, true));
+    }
+}
+
 #[test]
 fn a_replay_goes_up_to_the_first_input_that_was_lost() {
     let (_, recorded) = session(4, Vec::new());

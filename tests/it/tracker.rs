@@ -17,8 +17,8 @@ use bundlemocap::core::optimise::OptimiserKind;
 use bundlemocap::core::so3;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{
-    Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Tracker, Verdict,
-    WindowReport, run_to_end,
+    Config, Effort, EventKind, FramePeriod, Input, Job, Noise, Outcome, Output, Solver, Task,
+    Tracker, Verdict, WindowReport, run_to_end,
 };
 use nalgebra::{Point2, Vector3};
 
@@ -65,6 +65,21 @@ fn run_with(
         _ => {}
     });
     run
+}
+
+#[test]
+fn a_restart_keeps_the_frame_period_that_was_measured_before() {
+    let known = FramePeriod { ns: 2e7, error_ns: 1.0 };
+    let mut tracker = Tracker::new(config(), Arc::new(ring())).with_frame_period(Some(known));
+    let person = Person { id: None, points: vec![None; FORMAT.len()] };
+    for restart in [None, Some(Input::Restart), Some(Input::Forget)] {
+        restart.into_iter().for_each(|restart| tracker.handle(restart));
+        let people = vec![person.clone()];
+        let (camera, frame, capture) = (0, 1, Timestamp::from_ns(1_000_000_000));
+        let frame = Detections { camera, frame, capture, format: FORMAT, people };
+        tracker.handle(Input::Detections(frame));
+        assert_eq!(tracker.frame_period(), known.ns);
+    }
 }
 
 /// All jobs of a tracker, with their solutions.

@@ -200,7 +200,7 @@ fn protocol(motions: &Motions, rig_without_protocol: &str) -> Result<Protocol, F
     if !views.rig.is_empty() {
         protocol.rigs.clone_from(&views.rig);
     }
-    if let Some(body) = Body::ALL.into_iter().find(|known| body.as_deref() == Some(known.name())) {
+    if let Some(body) = body.as_deref().and_then(Body::from_name) {
         protocol.sequence.body = body;
     }
     protocol.sequence.fps = frame_rate_option(views.fps.unwrap_or(protocol.sequence.fps))?;

@@ -30,6 +30,8 @@ const AGAIN: Duration = Duration::from_secs(60);
 const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
 const CHANCE: Duration = Duration::from_secs(30);
+/// Most arrivals of a camera that are kept while nobody is in view.
+const MOST_ARRIVALS: usize = 32_768;
 /// A camera's clock has the right rate if it agrees with the arrival of its frames within this part.
 const RIGHT_RATE: f64 = 0.01;
 /// Cameras are judged again after this time; after the second one if something is wrong, or a camera is not in use. A
@@ -180,6 +182,9 @@ struct Arrivals(Vec<(Timestamp, f64)>);
 
 impl Arrivals {
     fn add(&mut self, capture: Timestamp, arrival: Timestamp) {
+        if self.0.len() >= MOST_ARRIVALS {
+            self.0.drain(..MOST_ARRIVALS / 2);
+        }
         self.0.push((capture, arrival.seconds_since(capture)));
     }
 

@@ -329,6 +329,11 @@ impl Recorder {
         path(file.unwrap_or_default())
     }
 
+    /// The take that is recorded.
+    pub(crate) fn running(&self) -> Option<&str> {
+        self.take.as_ref().map(|take| take.name.as_str())
+    }
+
     /// Completes the files whose time has come.
     pub(crate) fn tick(&mut self, now: Timestamp) -> Result<Vec<Said>, RecordError> {
         let mut said = Vec::new();

@@ -94,12 +94,6 @@ impl Tangents {
     pub fn position(&self, joint: Joint) -> &[f32] {
         &self.position[joint.index() * 3 * self.columns..][..3 * self.columns]
     }
-
-    /// The world-frame angular tangent of `joint` by parameter `column`.
-    pub fn rotation_of(&self, joint: Joint, column: usize) -> Vector3<f64> {
-        let at = joint.index() * 3 * self.columns + column;
-        Vector3::from_fn(|row, _| f64::from(self.rotation[at + row * self.columns]))
-    }
 }
 
 crate::core::linalg::wide! {

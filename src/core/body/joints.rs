@@ -2,6 +2,8 @@
 
 use std::cmp::Ordering;
 
+use crate::core::named;
+
 /// Number of joints, with the pelvis.
 pub const JOINTS: usize = 22;
 /// Number of joints with a local rotation from the manifold: all but the pelvis.
@@ -10,33 +12,35 @@ pub const BODY_JOINTS: usize = JOINTS - 1;
 /// after the reference pose at the start of many files.
 pub const FASTEST: f64 = 15.0;
 
-/// A joint of the body. The discriminant is its index everywhere.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[allow(missing_docs)]
-#[repr(usize)]
-pub enum Joint {
-    Pelvis,
-    LHip,
-    RHip,
-    Spine1,
-    LKnee,
-    RKnee,
-    Spine2,
-    LAnkle,
-    RAnkle,
-    Spine3,
-    LFoot,
-    RFoot,
-    Neck,
-    LCollar,
-    RCollar,
-    Head,
-    LShoulder,
-    RShoulder,
-    LElbow,
-    RElbow,
-    LWrist,
-    RWrist,
+named! {
+    /// A joint of the body, parents before children. The discriminant is its index everywhere.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+    #[allow(missing_docs)]
+    #[repr(usize)]
+    pub enum Joint {
+        Pelvis = "pelvis",
+        LHip = "l_hip",
+        RHip = "r_hip",
+        Spine1 = "spine1",
+        LKnee = "l_knee",
+        RKnee = "r_knee",
+        Spine2 = "spine2",
+        LAnkle = "l_ankle",
+        RAnkle = "r_ankle",
+        Spine3 = "spine3",
+        LFoot = "l_foot",
+        RFoot = "r_foot",
+        Neck = "neck",
+        LCollar = "l_collar",
+        RCollar = "r_collar",
+        Head = "head",
+        LShoulder = "l_shoulder",
+        RShoulder = "r_shoulder",
+        LElbow = "l_elbow",
+        RElbow = "r_elbow",
+        LWrist = "l_wrist",
+        RWrist = "r_wrist",
+    }
 }
 
 use Joint::*;
@@ -45,12 +49,6 @@ use Joint::*;
 pub const FEET: [Joint; 4] = [LAnkle, RAnkle, LFoot, RFoot];
 
 impl Joint {
-    /// Every joint, parents before children.
-    pub const ALL: [Self; JOINTS] = [
-        Pelvis, LHip, RHip, Spine1, LKnee, RKnee, Spine2, LAnkle, RAnkle, Spine3, LFoot, RFoot,
-        Neck, LCollar, RCollar, Head, LShoulder, RShoulder, LElbow, RElbow, LWrist, RWrist,
-    ];
-
     /// The index, 0 for the pelvis.
     pub const fn index(self) -> usize {
         self as usize
@@ -109,34 +107,6 @@ impl Joint {
             Ordering::Less => 1.0,
             Ordering::Equal => 0.0,
             Ordering::Greater => -1.0,
-        }
-    }
-
-    /// Lower-case name: `pelvis`, `l_hip`, ...
-    pub const fn name(self) -> &'static str {
-        match self {
-            Pelvis => "pelvis",
-            LHip => "l_hip",
-            RHip => "r_hip",
-            Spine1 => "spine1",
-            LKnee => "l_knee",
-            RKnee => "r_knee",
-            Spine2 => "spine2",
-            LAnkle => "l_ankle",
-            RAnkle => "r_ankle",
-            Spine3 => "spine3",
-            LFoot => "l_foot",
-            RFoot => "r_foot",
-            Neck => "neck",
-            LCollar => "l_collar",
-            RCollar => "r_collar",
-            Head => "head",
-            LShoulder => "l_shoulder",
-            RShoulder => "r_shoulder",
-            LElbow => "l_elbow",
-            RElbow => "r_elbow",
-            LWrist => "l_wrist",
-            RWrist => "r_wrist",
         }
     }
 }

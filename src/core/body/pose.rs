@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::forward::{Posture, forward};
 use super::joints::{BODY_JOINTS, JOINTS, Joint};
 use super::skeleton::Skeleton;
+use crate::core::named;
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
@@ -49,28 +50,16 @@ impl Pose {
     }
 }
 
-/// How far a pose can be trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum TrackingState {
-    /// Fitted to the detections of its window.
-    Tracking,
-    /// Extrapolated: too little was seen.
-    Coasting,
-    /// Its window fitted badly; flagged, not to be used.
-    Lost,
-}
-
-impl TrackingState {
-    /// Every state.
-    pub const ALL: [Self; 3] = [Self::Tracking, Self::Coasting, Self::Lost];
-
-    /// Its name in files and messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tracking => "tracking",
-            Self::Coasting => "coasting",
-            Self::Lost => "lost",
-        }
+named! {
+    /// How far a pose can be trusted.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum TrackingState {
+        /// Fitted to the detections of its window.
+        Tracking = "tracking",
+        /// Extrapolated: too little was seen.
+        Coasting = "coasting",
+        /// Its window fitted badly; flagged, not to be used.
+        Lost = "lost",
     }
 }
 

@@ -227,11 +227,6 @@ impl Jacobians {
         self.next_tangents.resize(size, 0.0);
     }
 
-    /// The places in the batch of the codes that the tangents are of.
-    pub fn linearised(&self) -> &[usize] {
-        &self.linearised
-    }
-
     /// What the last layer gave for the code at that place in the batch.
     fn outputs(&self, code: usize) -> &[f32] {
         let outputs = self.values.last().map_or(&[][..], |values| values);

@@ -10,6 +10,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Keyframe, LATENT, Latent, norm};
+use crate::core::named;
 use crate::core::so3;
 
 /// Below this angle between codes (radians) the path is a line.
@@ -19,15 +20,17 @@ const MAX_ANGLE: f64 = 0.9 * std::f64::consts::PI;
 /// Codes shorter than this have no direction.
 const MIN_NORM: f64 = 1e-9;
 
-/// Interpolation of the latent code between two keyframes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Interpolation {
-    /// Along the great circle.
-    #[default]
-    Slerp,
-    /// Along the line.
-    Lerp,
+named! {
+    /// Interpolation of the latent code between two keyframes.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Interpolation {
+        /// Along the great circle.
+        #[default]
+        Slerp = "slerp",
+        /// Along the line.
+        Lerp = "lerp",
+    }
 }
 
 /// The derivative of an interpolated code by one end: `scale` I + `across` `along`^T. 32x32.
@@ -42,19 +45,6 @@ pub struct LatentTangent {
 }
 
 impl Interpolation {
-    /// A lower-case name, as used on the wire.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Slerp => "slerp",
-            Self::Lerp => "lerp",
-        }
-    }
-
-    /// The interpolation with a name.
-    pub fn named(name: &str) -> Option<Self> {
-        [Self::Slerp, Self::Lerp].into_iter().find(|one| one.name() == name)
-    }
-
     /// The code at `s`, 0 at `z0` and 1 at `z1`. Other values extrapolate.
     pub fn latent(self, z0: &Latent, z1: &Latent, s: f64) -> Latent {
         let (w0, w1) = match self.angle(z0, z1) {

@@ -145,7 +145,12 @@ impl Stage {
                 self.correct_times(camera, correction);
             }
         }
-        if self.template.left_out() != left_out {
+        let is_news = |crowd: &Crowd| {
+            left_out.iter().enumerate().any(|(camera, out)| crowd.is_left_out(camera) != *out)
+        };
+        if self.crowd.as_ref().is_some_and(is_news) {
+            // Without windows it would keep the old calibration.
+            self.template.use_next_rig();
             for (number, tracker) in self.trackers.iter_mut().enumerate() {
                 if number != self.lead {
                     tracker.leave_out_moved(left_out.clone());

@@ -97,12 +97,11 @@ impl Crowd {
     /// any. Capture times are those of the cameras' common clock.
     pub fn next(&mut self, all: bool) -> Option<(Timestamp, Vec<Change>)> {
         let Complete { at, frames, until } = self.sets.next(all)?;
-        let is_left_out = |frame: &Detections| self.left_out.get(frame.camera) == Some(&true);
         self.people.period = Nanos::rounded(self.sets.period());
         let intake = self.sets.intake();
         self.people.steps.clear();
         self.people.steps.extend((0..intake.cameras()).map(|c| intake.step(c).unwrap_or_default()));
-        let (aside, frames) = frames.into_iter().partition(is_left_out);
+        let (aside, frames) = frames.into_iter().partition(|frame| self.is_left_out(frame.camera));
         Some((at, self.people.process(at, (frames, aside), until, &self.rig)))
     }
 
@@ -124,6 +123,11 @@ impl Crowd {
     /// What is to be reported of the cameras since the last call.
     pub fn events(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.sets.events)
+    }
+
+    /// Whether a camera was moved and is left out.
+    pub fn is_left_out(&self, camera: usize) -> bool {
+        self.left_out.get(camera) == Some(&true)
     }
 
     /// By camera, whether it was moved and is left out.
@@ -160,9 +164,14 @@ impl Crowd {
     /// The same for other cameras, or for these in another world.
     pub fn leave_world(&mut self, rig: Arc<Rig>) {
         let before = self.sets.clear(rig.cameras.len());
-        if rig.has_cameras_of(&self.rig) {
+        let is_same = rig.has_cameras_of(&self.rig);
+        if is_same {
             self.sets.intake().count_on_from(&before);
         }
+        let abandoned = before.abandoned();
+        self.sets.events.extend(
+            abandoned.map(|event| Event { camera: event.camera.filter(|_| is_same), ..event }),
+        );
         self.rig = rig;
         self.people.restart(Nanos::ZERO);
         self.people.leave_world();

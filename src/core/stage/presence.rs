@@ -1,36 +1,29 @@
 //! Who is or was on the stage.
 
 use super::performer_id::PerformerId;
+use crate::core::named;
 use crate::core::time::Timestamp;
 
-/// How far a performer is here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Life {
-    /// Followed and seen.
-    Confirmed,
-    /// Followed, but not seen at the moment.
-    Coasting,
-    /// Not followed any more: recognised on return, and keeps the place.
-    Lost,
-    /// Away for so long that somebody else may have the place.
-    Left,
+named! {
+    /// How far a performer is here.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    #[non_exhaustive]
+    pub enum Life {
+        /// Followed and seen.
+        Confirmed = "confirmed",
+        /// Followed, but not seen at the moment.
+        Coasting = "coasting",
+        /// Not followed any more: recognised on return, and keeps the place.
+        Lost = "lost",
+        /// Away for so long that somebody else may have the place.
+        Left = "left",
+    }
 }
 
 impl Life {
     /// Whether the performer is followed.
     pub const fn is_here(self) -> bool {
         matches!(self, Self::Confirmed | Self::Coasting)
-    }
-
-    /// The name in messages.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Confirmed => "confirmed",
-            Self::Coasting => "coasting",
-            Self::Lost => "lost",
-            Self::Left => "left",
-        }
     }
 }
 

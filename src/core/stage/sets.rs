@@ -94,7 +94,7 @@ impl Sets {
         // One camera's clock may be fast: only what two have reached counts.
         let clock = if self.now.is_some() { self.now } else { self.intake.front_or_alone() };
         let is_overdue = clock >= Some(at + width + grace);
-        if !all && is_waiting && waiting.any() && !is_overdue {
+        if !all && is_waiting && !is_overdue {
             return None;
         }
         if !all {

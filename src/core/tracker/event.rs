@@ -1,176 +1,91 @@
 //! Events: every fault of the input or of a window is reported and counted.
 
+use crate::core::named;
 use crate::core::time::Timestamp;
 
-/// What happened.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[non_exhaustive]
-pub enum EventKind {
-    /// Detections arrived after their window was closed; they are not used.
-    Late,
-    /// A frame arrived twice; the second is not used.
-    Duplicate,
-    /// A frame arrived after a later one of its camera; it is used.
-    OutOfOrder,
-    /// Frames are missing in a camera's count.
-    Missing,
-    /// Detections of a camera that the rig does not have, of another keypoint format, or with a capture
-    /// time that cannot be right.
-    Unusable,
-    /// A camera was late: a window closed at its deadline without it.
-    Deadline,
-    /// The performer was found.
-    Acquired,
-    /// Nobody was found in a window while searching.
-    NobodyFound,
-    /// A window fitted badly; its poses are flagged and the search starts again.
-    Lost,
-    /// Too little of the performer was seen in a window; the motion was extrapolated.
-    Coasted,
-    /// The performer was not seen for too long; the search starts again.
-    Left,
-    /// The cameras agree on a point of the performer, but the solved body is more than 10 cm away.
-    NotFollowed,
-    /// Windows no longer wait for a camera.
-    Silent,
-    /// Windows wait again for a camera that was silent.
-    Returned,
-    /// A pose was due before its window was solved; an extrapolated one took its place.
-    Overdue,
-    /// A new calibration is in use.
-    Calibrated,
-    /// Another rig was taken, from the file or from the bus.
-    RigChanged,
-    /// A rig from the bus was refused: a file gives the rig.
-    RigRefused,
-    /// The node declared its latency, at first or anew.
-    Latency,
-    /// The solver's effort changed.
-    Effort,
-    /// A camera's clock differs from the others, or its frames are too late to wait for; or it agrees
-    /// again.
-    ClockOffset,
-    /// A camera's capture times are shifted against the others', and are corrected: as the motion shows, or by order.
-    TimeOffset,
-    /// A camera was moved and is left out, or fits its calibration again.
-    CameraMoved,
-    /// The known body does not fit the performer; it is estimated anew.
-    Body,
-    /// The clock of most cameras has stepped, or single frames have a wrong time and are not used.
-    ClockJump,
-    /// A frame shows more people than are used.
-    Crowd,
-    /// Points far outside the image; they are not used.
-    FarPoint,
-    /// Two publishers seem to use one camera's name.
-    Conflict,
-    /// Another node of this performer started and stood back.
-    SecondNode,
-    /// Messages were dropped because there were too many, or frames waited for too long.
-    Dropped,
-    /// No camera sends frames, or nobody has been seen for a while; or that has ended.
-    Idle,
-    /// Which clock the cameras use, against the node's.
-    Clock,
-    /// A take began or ended, or the performer's body was forgotten, as asked.
-    Take,
-    /// A performer was seen for the first time, with several on the stage.
-    Entered,
-    /// A performer who was lost came back.
-    Reentered,
-    /// Two performers were one person.
-    Merged,
-    /// A performer was not seen for so long that somebody else may have the place, or was dropped.
-    Vacated,
-    /// Another node solves a performer from here on, or solvers came or left.
-    Solver,
-}
-
-impl EventKind {
-    /// Every kind.
-    pub const ALL: [Self; 38] = [
-        Self::Late,
-        Self::Duplicate,
-        Self::OutOfOrder,
-        Self::Missing,
-        Self::Unusable,
-        Self::Deadline,
-        Self::Acquired,
-        Self::NobodyFound,
-        Self::Lost,
-        Self::Coasted,
-        Self::Left,
-        Self::NotFollowed,
-        Self::Silent,
-        Self::Returned,
-        Self::Overdue,
-        Self::Calibrated,
-        Self::RigChanged,
-        Self::RigRefused,
-        Self::Latency,
-        Self::Effort,
-        Self::ClockOffset,
-        Self::TimeOffset,
-        Self::CameraMoved,
-        Self::Body,
-        Self::ClockJump,
-        Self::Crowd,
-        Self::FarPoint,
-        Self::Conflict,
-        Self::SecondNode,
-        Self::Dropped,
-        Self::Idle,
-        Self::Clock,
-        Self::Take,
-        Self::Entered,
-        Self::Reentered,
-        Self::Merged,
-        Self::Vacated,
-        Self::Solver,
-    ];
-
-    /// A lower-case name, as used on the wire.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Late => "late",
-            Self::Duplicate => "duplicate",
-            Self::OutOfOrder => "out_of_order",
-            Self::Missing => "missing",
-            Self::Unusable => "unusable",
-            Self::Deadline => "deadline",
-            Self::Acquired => "acquired",
-            Self::NobodyFound => "nobody_found",
-            Self::Lost => "lost",
-            Self::Coasted => "coasted",
-            Self::Left => "left",
-            Self::NotFollowed => "not_followed",
-            Self::Silent => "silent",
-            Self::Returned => "returned",
-            Self::Overdue => "overdue",
-            Self::Calibrated => "calibrated",
-            Self::RigChanged => "rig_changed",
-            Self::RigRefused => "rig_refused",
-            Self::Latency => "latency",
-            Self::Effort => "effort",
-            Self::ClockOffset => "clock_offset",
-            Self::TimeOffset => "time_offset",
-            Self::CameraMoved => "camera_moved",
-            Self::Body => "body",
-            Self::ClockJump => "clock_jump",
-            Self::Crowd => "crowd",
-            Self::FarPoint => "far_point",
-            Self::Conflict => "conflict",
-            Self::SecondNode => "second_node",
-            Self::Dropped => "dropped",
-            Self::Idle => "idle",
-            Self::Clock => "clock",
-            Self::Take => "take",
-            Self::Entered => "entered",
-            Self::Reentered => "reentered",
-            Self::Merged => "merged",
-            Self::Vacated => "vacated",
-            Self::Solver => "solver",
-        }
+named! {
+    /// What happened.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+    #[non_exhaustive]
+    pub enum EventKind {
+        /// Detections arrived after their window was closed; they are not used.
+        Late = "late",
+        /// A frame arrived twice; the second is not used.
+        Duplicate = "duplicate",
+        /// A frame arrived after a later one of its camera; it is used.
+        OutOfOrder = "out_of_order",
+        /// Frames are missing in a camera's count.
+        Missing = "missing",
+        /// Detections of a camera that the rig does not have, of another keypoint format, or with a capture
+        /// time that cannot be right.
+        Unusable = "unusable",
+        /// A camera was late: a window closed at its deadline without it.
+        Deadline = "deadline",
+        /// The performer was found.
+        Acquired = "acquired",
+        /// Nobody was found in a window while searching.
+        NobodyFound = "nobody_found",
+        /// A window fitted badly; its poses are flagged and the search starts again.
+        Lost = "lost",
+        /// Too little of the performer was seen in a window; the motion was extrapolated.
+        Coasted = "coasted",
+        /// The performer was not seen for too long; the search starts again.
+        Left = "left",
+        /// The cameras agree on a point of the performer, but the solved body is more than 10 cm away.
+        NotFollowed = "not_followed",
+        /// Windows no longer wait for a camera.
+        Silent = "silent",
+        /// Windows wait again for a camera that was silent.
+        Returned = "returned",
+        /// A pose was due before its window was solved; an extrapolated one took its place.
+        Overdue = "overdue",
+        /// A new calibration is in use.
+        Calibrated = "calibrated",
+        /// Another rig was taken, from the file or from the bus.
+        RigChanged = "rig_changed",
+        /// A rig from the bus was refused: a file gives the rig.
+        RigRefused = "rig_refused",
+        /// The node declared its latency, at first or anew.
+        Latency = "latency",
+        /// The solver's effort changed.
+        Effort = "effort",
+        /// A camera's clock differs from the others, or its frames are too late to wait for; or it agrees
+        /// again.
+        ClockOffset = "clock_offset",
+        /// A camera's capture times are shifted against the others', and are corrected: as the motion shows, or by order.
+        TimeOffset = "time_offset",
+        /// A camera was moved and is left out, or fits its calibration again.
+        CameraMoved = "camera_moved",
+        /// The known body does not fit the performer; it is estimated anew.
+        Body = "body",
+        /// The clock of most cameras has stepped, or single frames have a wrong time and are not used.
+        ClockJump = "clock_jump",
+        /// A frame shows more people than are used.
+        Crowd = "crowd",
+        /// Points far outside the image; they are not used.
+        FarPoint = "far_point",
+        /// Two publishers seem to use one camera's name.
+        Conflict = "conflict",
+        /// Another node of this performer started and stood back.
+        SecondNode = "second_node",
+        /// Messages were dropped because there were too many, or frames waited for too long.
+        Dropped = "dropped",
+        /// No camera sends frames, or nobody has been seen for a while; or that has ended.
+        Idle = "idle",
+        /// Which clock the cameras use, against the node's.
+        Clock = "clock",
+        /// A take began, was joined or ended, or the performer's body was forgotten, as asked.
+        Take = "take",
+        /// A performer was seen for the first time, with several on the stage.
+        Entered = "entered",
+        /// A performer who was lost came back.
+        Reentered = "reentered",
+        /// Two performers were one person.
+        Merged = "merged",
+        /// A performer was not seen for so long that somebody else may have the place, or was dropped.
+        Vacated = "vacated",
+        /// Another node solves a performer from here on, or solvers came or left.
+        Solver = "solver",
     }
 }
 

@@ -114,6 +114,11 @@ impl FrameRate {
         self.known = period;
     }
 
+    /// The period that was measured before.
+    pub(super) fn known(&self) -> Option<FramePeriod> {
+        self.known
+    }
+
     /// Notes a frame; unknown cameras are ignored.
     pub fn note(&mut self, camera: usize, number: u64, capture: Timestamp) {
         if let Some(camera) = self.cameras.get_mut(camera) {

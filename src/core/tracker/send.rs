@@ -18,22 +18,9 @@ const SOLVED_AGAIN: usize = 3;
 impl Tracker {
     /// Sends the job of a complete window: an acquisition or a solve.
     pub(super) fn send_window(&mut self, window: Window) {
-        // It compares with the calibration that waits.
-        let left_out = self.left_out();
-        if let Some(rig) = self.next_rig.take() {
-            let detail = format!("calibration {} from here on", rig.version);
-            let mut rig = Arc::unwrap_or_clone(rig);
-            rig.shift_times(self.offsets.corrections());
-            self.offsets.search_anew();
-            self.watchdog = Watchdog::new(rig.cameras.len());
-            self.mending.retain(|mending| left_out[mending.camera]);
-            self.left_out = left_out;
-            // A camera with a new pose has another view from here on.
-            self.memory = Memory::default();
-            self.rig = Arc::new(rig);
-            if !self.is_fed {
-                self.event(EventKind::Calibrated, window.start, None, detail);
-            }
+        if self.use_next_rig() && !self.is_fed {
+            let detail = format!("calibration {} from here on", self.rig.version);
+            self.event(EventKind::Calibrated, window.start, None, detail);
         }
         let task = match &self.phase {
             Phase::Searching => Task::Acquire { skeleton: self.skeleton.clone() },
@@ -46,6 +33,23 @@ impl Tracker {
             }
         };
         self.send(window, task);
+    }
+
+    /// Uses the calibration that waits, if there is one.
+    pub(in crate::core) fn use_next_rig(&mut self) -> bool {
+        // It compares with the calibration that waits.
+        let left_out = self.left_out();
+        let Some(rig) = self.next_rig.take() else { return false };
+        let mut rig = Arc::unwrap_or_clone(rig);
+        rig.shift_times(self.offsets.corrections());
+        self.offsets.search_anew();
+        self.watchdog = Watchdog::new(rig.cameras.len());
+        self.mending.retain(|mending| left_out[mending.camera]);
+        self.left_out = left_out;
+        // A camera with a new pose has another view from here on.
+        self.memory = Memory::default();
+        self.rig = Arc::new(rig);
+        true
     }
 
     /// Sends a provisional fit up to the last frame set that is complete at `complete_until`, if

@@ -190,6 +190,7 @@ impl Tracker {
     pub(in crate::core) fn watch_for_all(&mut self, live: Live, before: Option<&mut Self>) {
         self.live = Some(live);
         if let Some(before) = before {
+            before.use_next_rig();
             std::mem::swap(&mut self.left_out, &mut before.left_out);
             std::mem::swap(&mut self.watchdog, &mut before.watchdog);
             std::mem::swap(&mut self.offsets, &mut before.offsets);
@@ -207,9 +208,11 @@ impl Tracker {
         cameras.map(|(i, (old, new))| self.is_left_out(i) && old.has_pose_of(new)).collect()
     }
 
-    /// These cameras are left out of all windows.
+    /// These cameras are left out of all windows. A tracker whose next window has another calibration knows by itself.
     pub(in crate::core) fn leave_out_moved(&mut self, cameras: Vec<bool>) {
-        self.left_out = cameras;
+        if self.next_rig.is_none() {
+            self.left_out = cameras;
+        }
     }
 
     pub(super) fn is_left_out(&self, camera: usize) -> bool {
@@ -544,15 +547,21 @@ impl Tracker {
         self.mending.clear();
         self.left_out.clear();
         self.next_rig = None;
-        self.intake = Intake::new(rig.cameras.len(), self.config.grace_windows);
+        let fresh = Intake::new(rig.cameras.len(), self.config.grace_windows);
+        let before = std::mem::replace(&mut self.intake, fresh);
         self.rig = rig;
         self.restart();
+        if self.live.is_some() && !self.is_fed {
+            // Their cameras may be no more.
+            self.report(before.abandoned().map(|event| Event { camera: None, ..event }).collect());
+        }
     }
 
     /// Forgets everything except the body, the numbers of windows and jobs, and the values of the
     /// setters.
     pub(super) fn restart(&mut self) {
-        let fresh = Self::new(self.config, Arc::clone(&self.rig));
+        let period = self.intake.rate().known();
+        let fresh = Self::new(self.config, Arc::clone(&self.rig)).with_frame_period(period);
         let old = std::mem::replace(self, fresh);
         (self.live, self.idle) = (old.live, old.idle);
         (self.is_fed, self.stagger, self.hands_over) = (old.is_fed, old.stagger, old.hands_over);

@@ -6,11 +6,14 @@ use super::state_machine::{Phase, Tracker};
 use super::waiting::Closing;
 use crate::core::time::{Grid, Nanos, Timestamp};
 
-/// Frame period of a recording that is too short to estimate one, ns: 60 frames per second.
+/// Frame period where none can be measured, as in a recording that is too short, ns: 60 frames per second.
 pub(in crate::core) const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
 /// A live tracker drops an open window that ended this long before the newest frames, and continues
-/// with those.
+/// with those. The windows of the shape may take longer, and windows wait for silent cameras.
 const MAX_BACKLOG: Nanos = Nanos::SECOND;
+const MAX_SHAPE: Nanos = Nanos::from_ms(10_000);
+/// Live, frames wait this long until their rate is known.
+const NO_RATE: Nanos = Nanos::from_ms(5000);
 
 /// A window that is open.
 #[derive(Clone, Copy, Debug)]
@@ -55,7 +58,9 @@ impl Tracker {
             return;
         };
         let end = start + Nanos::new(self.frame_period() as i64) * self.open_frames() as i64;
-        if self.ended || front - end <= MAX_BACKLOG {
+        let shape = (self.span() * self.config.shape_windows as i64).min(MAX_SHAPE);
+        let most = MAX_BACKLOG.max(shape).max(self.span() + self.grace());
+        if self.ended || front - end <= most {
             return;
         }
         let until = front - self.span();
@@ -100,14 +105,30 @@ impl Tracker {
         }
     }
 
+    /// Where frames do not show their rate, [`FALLBACK_PERIOD`] is taken at the end, or live if they have waited for long.
+    fn fall_back(&mut self) {
+        let waiting = self.intake.first().zip(self.intake.newest());
+        let is_long = |(first, newest): &(Timestamp, Timestamp)| *newest - *first > NO_RATE;
+        let waiting = waiting.filter(|_| self.live.is_some()).filter(is_long);
+        if self.period.is_some() || !(self.ended || waiting.is_some()) {
+            return;
+        }
+        self.period = Some(FALLBACK_PERIOD);
+        if let Some((_, newest)) = waiting.filter(|_| !self.ended) {
+            self.close_until(newest - self.span());
+            self.start = None;
+        }
+    }
+
     /// The open window, on the frame grid; `None` until a frame and the frame rate are known.
     fn open_window(&mut self) -> Option<Window> {
-        let start = self.start.or_else(|| self.intake.first())?;
-        if matches!(self.phase, Phase::Searching) {
+        if let Some(start) = self.start.or_else(|| self.intake.first())
+            && matches!(self.phase, Phase::Searching)
+        {
             self.follow_rate(start);
         }
-        let period = self.period.or_else(|| self.ended.then_some(FALLBACK_PERIOD))?;
-        self.period = Some(period);
+        self.fall_back();
+        let (start, period) = (self.start.or_else(|| self.intake.first())?, self.period?);
         if self.start.is_none() || self.frames.is_none() {
             self.frames = Some(Grid { origin: start, period_ns: period });
             self.first_output = Some(start);

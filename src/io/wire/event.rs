@@ -20,7 +20,7 @@ impl Event {
 
     /// The kind; `None` if this version does not know it.
     pub fn event_kind(&self) -> Option<EventKind> {
-        EventKind::ALL.into_iter().find(|kind| kind.name() == self.kind)
+        EventKind::from_name(&self.kind)
     }
 
     /// Checks a message from outside.

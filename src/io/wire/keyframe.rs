@@ -56,7 +56,7 @@ impl Keyframe {
             },
             shape: Shape(at("shape").padded(&self.shape, SYMMETRIC_SHAPE)?),
             start: self.start()?,
-            interpolation: Interpolation::named(&self.interpolation).ok_or_else(|| {
+            interpolation: Interpolation::from_name(&self.interpolation).ok_or_else(|| {
                 let name = &self.interpolation;
                 at("interpolation").invalid(format!("{name:?} is not slerp or lerp"))
             })?,

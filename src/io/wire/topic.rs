@@ -383,6 +383,11 @@ impl Topics {
         format!("{ROOT}/{}/solver/{}", self.stage, self.actor)
     }
 
+    /// The name under which recorders announce the take that they record.
+    pub fn recorded_take(&self, name: &str) -> String {
+        format!("{ROOT}/{}/take/recorded/{name}", self.stage)
+    }
+
     /// Topic of [`Rig`].
     pub fn rig(&self) -> String {
         self.of_stage(StageChannel::Rig)

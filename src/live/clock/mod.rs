@@ -44,7 +44,7 @@ pub(crate) enum Arrival {
 }
 
 /// The clocks of all cameras.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Clock {
     pub(crate) cameras: Vec<CameraClock>,
     /// Node's clock minus capture clock; `None` before the first frame.
@@ -62,16 +62,7 @@ pub(crate) struct Clock {
 
 impl Clock {
     pub(crate) fn new(cameras: usize) -> Self {
-        let cameras = vec![CameraClock::default(); cameras];
-        Self {
-            cameras,
-            base: None,
-            since: None,
-            is_settled: false,
-            strays: Vec::new(),
-            is_to_review: false,
-            reported: None,
-        }
+        Self { cameras: vec![CameraClock::default(); cameras], ..Self::default() }
     }
 
     /// Checks and records the arrival of a frame.

@@ -23,10 +23,6 @@ const PROVISIONAL: Nanos = Nanos::from_ms(8);
 const OVERDUE: Nanos = Nanos::from_ms(60);
 const SEARCH: Nanos = Nanos::from_ms(250);
 
-/// The latency never falls by more. If the last pose leaves later than this, its due time is of another
-/// clock.
-const MOST_HELD: Nanos = Nanos::SECOND;
-
 impl Core {
     pub(super) fn solved(&mut self, performer: PerformerId, solution: Solution, took: Nanos) {
         self.took = took;
@@ -46,7 +42,7 @@ impl Core {
     fn settle(&mut self, performer: PerformerId) {
         let delay = self.clock.delay();
         let tracker = self.trackers().get(performer.0);
-        let Some(times) = tracker.map(|tracker| latency_times(tracker, delay)) else { return };
+        let Some(times) = tracker.and_then(|tracker| latency_times(tracker, delay)) else { return };
         let config = self.settings.tracker;
         let found = self.latency.solved(self.took, times, &config);
         if found.is_some() {
@@ -97,7 +93,7 @@ impl Core {
 
     /// The times of the performer whose times hold for all.
     fn latency_times(&self, delay: Nanos) -> Option<[Nanos; 3]> {
-        Some(latency_times(self.stage.as_ref()?.lead(), delay))
+        latency_times(self.stage.as_ref()?.lead(), delay)
     }
 
     /// Declares a latency, if one was found.
@@ -232,8 +228,7 @@ impl Core {
         let due = pose.capture + latency;
         let leaves = self.clock.node_time(due);
         // No pose overtakes another where the latency falls.
-        let ahead = self.performer(performer).leaves - leaves;
-        let held = if (Nanos::ZERO..MOST_HELD).contains(&ahead) { ahead } else { Nanos::ZERO };
+        let held = (self.performer(performer).leaves - leaves).max(Nanos::ZERO);
         let Some(message) = self.pose_message(performer, pose, Some(due + held)) else { return };
         let performer = self.performer(performer);
         if pose.state == TrackingState::Tracking {
@@ -328,10 +323,9 @@ impl Core {
     }
 }
 
-/// Time of a window from its first pose, delay of the network, and frame period.
-fn latency_times(tracker: &Tracker, delay: Nanos) -> [Nanos; 3] {
-    let period = tracker.frame_period();
-    // Just after a reset, the grid is not known.
-    let output = tracker.output_grid().map_or(period, |grid| grid.period_ns);
-    [tracker.span() - Nanos::new(output as i64), delay, Nanos::rounded(period)]
+/// Time of a window from its first pose, delay of the network, and frame period; `None` if the frame rate is not known, as
+/// after a reset.
+fn latency_times(tracker: &Tracker, delay: Nanos) -> Option<[Nanos; 3]> {
+    let output = Nanos::new(tracker.output_grid()?.period_ns as i64);
+    Some([tracker.span() - output, delay, Nanos::rounded(tracker.frame_period())])
 }

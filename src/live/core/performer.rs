@@ -9,6 +9,7 @@ use crate::core::tracker::Tracker;
 use crate::io::wire::{PlayoutCounters, Topics, WindowCounters};
 
 /// One performer: its topics, and what was published on them.
+#[derive(Default)]
 pub(super) struct Performer {
     pub(super) topics: Topics,
     /// The body of the next pose.
@@ -31,18 +32,7 @@ pub(super) struct Performer {
 
 impl Performer {
     pub(super) fn new(topics: Topics) -> Self {
-        Self {
-            topics,
-            skeleton: None,
-            windows: Windows::default(),
-            poses: Poses::default(),
-            residual_px: 0.0,
-            tracked: None,
-            found: Timestamp::default(),
-            sent: None,
-            leaves: Timestamp::default(),
-            sets: 0,
-        }
+        Self { topics, ..Self::default() }
     }
 }
 
@@ -64,10 +54,11 @@ pub(super) fn state_of_all(states: &[&str]) -> &'static str {
 pub(super) fn windows_of_all<'a>(all: impl Iterator<Item = &'a WindowCounters>) -> WindowCounters {
     let mut sum = WindowCounters::default();
     for windows in all {
-        sum.tracked += windows.tracked;
-        sum.coasted += windows.coasted;
-        sum.lost += windows.lost;
-        sum.incomplete += windows.incomplete;
+        // Other nodes may send any number.
+        sum.tracked = sum.tracked.saturating_add(windows.tracked);
+        sum.coasted = sum.coasted.saturating_add(windows.coasted);
+        sum.lost = sum.lost.saturating_add(windows.lost);
+        sum.incomplete = sum.incomplete.saturating_add(windows.incomplete);
         sum.iterations = sum.iterations.max(windows.iterations);
         sum.solve_p50_ms = sum.solve_p50_ms.max(windows.solve_p50_ms);
         sum.solve_p99_ms = sum.solve_p99_ms.max(windows.solve_p99_ms);

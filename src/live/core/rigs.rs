@@ -100,8 +100,12 @@ impl Core {
         };
         let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
         if !names.iter().copied().eq(self.cameras.iter().map(CameraState::name)) {
+            // What was found is of the cameras and the clock of before.
+            self.drain();
+            self.forget_due_times();
             self.cameras = names.into_iter().map(CameraState::new).collect();
             self.clock = Clock::new(self.cameras.len());
+            self.sharing.forget_frames();
         }
         for (camera, new) in self.cameras.iter_mut().zip(&rig.cameras) {
             let before = self.calibration.as_ref().map(|before| &before.rig);

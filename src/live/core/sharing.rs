@@ -106,6 +106,12 @@ impl Sharing {
         ours.map(|(number, _)| *number).collect()
     }
 
+    /// Forgets the frames: the cameras are others from here on.
+    pub(super) fn forget_frames(&mut self) {
+        self.newest.clear();
+        self.performers.values_mut().for_each(|shared| shared.recent.clear());
+    }
+
     /// Whether no performer has entered yet.
     pub(super) fn is_empty(&self) -> bool {
         self.performers.is_empty()

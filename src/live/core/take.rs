@@ -85,6 +85,7 @@ impl Core {
                 self.put_out_bodies();
                 Ok(format!("take {} ended", std::mem::take(&mut self.running)))
             }
+            "join" => self.join(&take.name),
             "reset" if take.name.is_empty() => self.forget_bodies(),
             "reset" => self.forget_body(&take.name),
             "name" => self.rename(take),
@@ -98,6 +99,16 @@ impl Core {
             "start" => Err(format!("{:?} cannot be the name of a take", take.name)),
             other => Err(format!("{other:?} is no action")),
         }
+    }
+
+    /// The node was started during a take: it takes part.
+    fn join(&mut self, name: &str) -> Result<String, String> {
+        valid_name(name).map_err(|error| error.to_string())?;
+        if !self.running.is_empty() {
+            return Err(format!("take {} runs", self.running));
+        }
+        name.clone_into(&mut self.running);
+        Ok(format!("take {name} runs already; this node takes part"))
     }
 
     /// Forgets the bodies of all performers who are not locked.

@@ -2,7 +2,7 @@
 
 use super::Core;
 use crate::core::stage;
-use crate::core::time::Nanos;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::EventKind;
 use crate::live::clock::camera::LeftOut;
 
@@ -17,10 +17,18 @@ impl Core {
     /// begins anew.
     pub(super) fn new_clock(&mut self, by: Nanos) {
         self.give(stage::Input::ClockJumped(-by));
+        self.forget_due_times();
         if by != Nanos::ZERO {
             let (by, kind) = (-by.seconds(), self.clock.told());
             let detail = format!("stepped by {by:+.3} s, tracking begins anew; {kind}");
             self.event(EventKind::ClockJump, None, detail);
+        }
+    }
+
+    /// The due times of the poses so far are of another clock.
+    pub(super) fn forget_due_times(&mut self) {
+        for performer in &mut self.performers {
+            performer.leaves = Timestamp::default();
         }
     }
 
@@ -73,6 +81,7 @@ impl Core {
         if by.abs() > FAR {
             // Otherwise all frames would be late until the last solved frame is reached again.
             self.give(stage::Input::ClockJumped(-by));
+            self.forget_due_times();
         }
     }
 
@@ -131,7 +140,7 @@ impl Core {
         if others > std::mem::replace(&mut self.others, others) {
             let fix = match self.count_followed() < self.settings.stage.performers.limit() {
                 true => "`bundlemocap take follow X,Z` makes one a performer",
-                false => "raise [stage] performers",
+                false => "raise [stage] performers; if nobody else is there, check the cameras",
             };
             let detail = format!("{others} more people were seen, not solved; {fix}");
             self.event(EventKind::Crowd, None, detail);

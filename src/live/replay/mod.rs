@@ -15,7 +15,7 @@ use crate::core::tracker::{Job, Solver};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
     DecodeError, Journal, JournalEntry, JournalMessage, JournalStart, Schema, StageChannel, Take,
-    Topic, Topics, decode,
+    Topic, Topics, decode, valid_name,
 };
 use crate::live::core::Core;
 use crate::live::core::journal;
@@ -95,7 +95,7 @@ pub struct Replayed {
     pub outputs: Vec<Recorded>,
     /// Whether the journal reaches the end of the node or of the take.
     pub is_whole: bool,
-    /// Ids of later runs of this node that no take began: it was started again.
+    /// Ids of later runs of this node within the same take: it was started again.
     pub others: Vec<String>,
     /// What was missing, if the replay stopped early.
     pub gap: Option<Gap>,
@@ -155,20 +155,60 @@ pub fn find_node(
 
 /// The journal of one run, as far as it has no gap.
 struct Entries {
+    id: String,
+    /// The take that began the run, or that it joined; empty: none.
+    take: String,
     entries: Vec<JournalEntry>,
     /// Number of the first missing part, if later ones are there.
     missing: Option<u64>,
-    /// Ids of the later runs without a take.
-    others: Vec<String>,
+    end: End,
 }
 
-/// The journal of a run: of the one that was asked for by its id or the name of its take, or of the
-/// only one that is there from its beginning.
+/// How a run ends.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// With its take, or because a take begins.
+    Take,
+    /// With the node.
+    Node,
+    /// The journal does not reach it.
+    Unknown,
+}
+
+impl Entries {
+    /// Of all parts, by number; the first one is there.
+    fn of(id: u64, parts: BTreeMap<u64, Journal>) -> Self {
+        let count = parts.len() as u64;
+        let whole =
+            parts.keys().zip(0..).take_while(|(number, expected)| *number == expected).count();
+        let entries = parts.into_values().take(whole).flat_map(|part| part.entries);
+        let entries: Vec<JournalEntry> = entries.collect();
+        let take = entries.iter().find_map(|entry| match &entry.input {
+            Some(Entry::Start(start)) if !start.take.is_empty() => Some(start.take.clone()),
+            Some(Entry::Message(message)) => {
+                let take = slate(message).filter(|take| take.action == "join");
+                take.filter(|take| valid_name(&take.name).is_ok()).map(|take| take.name)
+            }
+            _ => None,
+        });
+        let take = take.unwrap_or_default();
+        let missing = Some(whole as u64).filter(|whole| *whole < count);
+        Self { id: format!("{id:016x}"), end: end(&entries, &take), take, entries, missing }
+    }
+
+    /// The node's time of the first entry, ns.
+    fn begin_ns(&self) -> i64 {
+        self.entries.first().map_or(0, |first| first.time_ns)
+    }
+}
+
+/// The journal of a run, and the ids of later ones within the same take: of the run that was asked for by its id
+/// or the name of its take, or of the only one that is there from its beginning. Of a take, it is the first run.
 fn journal(
     messages: &[Recorded],
     topics: &Topics,
     asked: Option<&str>,
-) -> Result<Entries, ReplayError> {
+) -> Result<(Entries, Vec<String>), ReplayError> {
     let topic = topics.journal();
     let mut runs: BTreeMap<u64, BTreeMap<u64, Journal>> = BTreeMap::new();
     for message in messages.iter().filter(|message| *message.topic == *topic) {
@@ -186,54 +226,47 @@ fn journal(
     if runs.is_empty() {
         return Err(ReplayError::Begun { first });
     }
-    let named = |(id, parts): (&u64, &BTreeMap<u64, Journal>)| {
-        let take = start_of(parts).map_or("", |start| start.take.as_str());
-        (format!("{id:016x}"), take.to_owned())
-    };
-    let names: Vec<(String, String)> = runs.iter().map(named).collect();
-    let begins: Vec<i64> = runs.values().map(begin_of).collect();
-    let is_asked = |(id, take): &(String, String)| asked.is_none_or(|run| run == id || run == take);
-    let mut fitting = runs.into_values().zip(&names).filter(|(_, name)| is_asked(name));
-    let (Some((parts, _)), None) = (fitting.next(), fitting.next()) else {
-        let list = names.iter().map(|(id, take)| match take.as_str() {
+    let mut runs: Vec<Entries> =
+        runs.into_iter().map(|(id, parts)| Entries::of(id, parts)).collect();
+    runs.sort_by_key(Entries::begin_ns);
+    let is_asked = |run: &Entries| asked.is_none_or(|name| *name == run.id || *name == run.take);
+    let several = || {
+        let list = runs.iter().map(|Entries { id, take, .. }| match take.as_str() {
             "" => id.clone(),
             take => format!("{id} (take {take})"),
         });
-        return Err(ReplayError::SeveralRuns { found: list.collect::<Vec<_>>().join(", ") });
+        ReplayError::SeveralRuns { found: list.collect::<Vec<_>>().join(", ") }
     };
-    let (own, count) = (begin_of(&parts), parts.len() as u64);
-    let whole = parts.keys().zip(0..).take_while(|(number, expected)| *number == expected).count();
-    let entries = parts.into_values().take(whole).flat_map(|part| part.entries).collect();
-    let whole = whole as u64;
-    let is_later = |(name, begin): &(&(String, String), i64)| name.1.is_empty() && *begin > own;
-    let others = names.iter().zip(begins).filter(is_later).map(|(name, _)| name.0.clone());
-    let others = others.collect();
-    Ok(Entries { entries, missing: (whole < count).then_some(whole), others })
-}
-
-/// The node's time of the first entry, ns.
-fn begin_of(parts: &BTreeMap<u64, Journal>) -> i64 {
-    parts.values().flat_map(|part| &part.entries).map(|entry| entry.time_ns).next().unwrap_or(0)
-}
-
-fn start_of(parts: &BTreeMap<u64, Journal>) -> Option<&JournalStart> {
-    match &parts.get(&0)?.entries.first()?.input {
-        Some(Entry::Start(start)) => Some(start),
-        _ => None,
+    let at = runs.iter().position(is_asked).ok_or_else(several)?;
+    let take = &runs[at].take;
+    let (mut end, mut others) = (runs[at].end, Vec::new());
+    for later in &runs[at + 1..] {
+        let is_within = match end {
+            End::Take => false,
+            End::Node => !take.is_empty() && later.take == *take,
+            End::Unknown => later.take.is_empty() || later.take == *take,
+        };
+        if is_asked(later) && (asked.is_none() || !is_within) {
+            return Err(several());
+        }
+        if is_within {
+            others.push(later.id.clone());
+            end = later.end;
+        }
     }
+    Ok((runs.swap_remove(at), others))
 }
 
-/// Whether the run of that take, or of none, ends in these entries: with the node, or because a take
-/// ended or began. A take that waits to begin may be stopped before.
-fn is_whole(entries: &[JournalEntry], running: &str) -> bool {
+/// How the run of that take, or of none, ends in these entries. A take that waits to begin may be stopped before.
+fn end(entries: &[JournalEntry], running: &str) -> End {
     let mut waiting: Option<String> = None;
     for entry in entries {
         match &entry.input {
-            Some(Entry::End(_)) => return true,
+            Some(Entry::End(_)) => return End::Node,
             Some(Entry::Message(message)) => {
                 let Some(take) = slate(message) else { continue };
                 match (&*take.action, ends(&take, running)) {
-                    ("stop", true) => return true,
+                    ("stop", true) => return End::Take,
                     ("stop", false) => {
                         waiting.take_if(|one| take.name.is_empty() || *one == take.name);
                     }
@@ -244,7 +277,7 @@ fn is_whole(entries: &[JournalEntry], running: &str) -> bool {
             _ => {}
         }
     }
-    waiting.is_some()
+    if waiting.is_some() { End::Take } else { End::Unknown }
 }
 
 fn slate(JournalMessage { topic, payload, .. }: &JournalMessage) -> Option<Take> {
@@ -265,7 +298,7 @@ pub fn replay<E: From<ReplayError>>(
     run: Option<&str>,
     prepare: impl FnOnce(&JournalStart) -> Result<(Settings, Solver), E>,
 ) -> Result<Replayed, E> {
-    let Entries { entries, missing, others } = journal(messages, topics, run)?;
+    let (Entries { entries, missing, end, .. }, others) = journal(messages, topics, run)?;
     let mut entries = entries.into_iter();
     let senseless = |reason: &str| ReplayError::Senseless { index: 0, reason: reason.to_owned() };
     let Some(JournalEntry { input: Some(Entry::Start(start)), .. }) = entries.next() else {
@@ -281,7 +314,7 @@ pub fn replay<E: From<ReplayError>>(
         run.outputs.clear();
     }
     // The last answers and poses follow after the end.
-    let is_whole = is_whole(&entries, &start.take);
+    let is_whole = end != End::Unknown;
     let mut last = begin;
     let mut inputs = 1;
     let mut gap = None;

@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{Bus, BusError, Publisher};
@@ -79,8 +80,11 @@ impl Outlet {
             Some(Line::Shut { until }) if now < *until => return Err(None),
             Some(line @ Line::Open { .. }) => line,
             Some(Line::Shut { .. }) | None => {
+                let begin = Instant::now();
                 if let Err(error) = self.open(topic, publication.content.schema()) {
-                    let until = now + PATIENCE;
+                    // A refusal may take seconds.
+                    let took = i64::try_from(begin.elapsed().as_nanos()).unwrap_or(i64::MAX);
+                    let until = now + Nanos::new(took) + PATIENCE;
                     self.lines.insert(Arc::clone(topic), Line::Shut { until });
                     return Err(Some(error.to_string()));
                 }
@@ -193,7 +197,7 @@ mod tests {
     fn a_topic_that_cannot_be_opened_is_tried_once_a_second() {
         let (bus, failures) = (Fake::default(), Arc::new(AtomicU64::new(0)));
         let mut outlet = Outlet::new(Arc::new(bus.clone()), Arc::clone(&failures));
-        for ms in [0, 10, 999, 1000, 1500] {
+        for ms in [0, 10, 999, 1100, 1500] {
             outlet.put(&publication("shut", 1), Timestamp::from_ns(ms * 1_000_000));
         }
         assert_eq!(bus.opened.load(Ordering::Relaxed), 2);

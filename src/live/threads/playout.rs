@@ -1,9 +1,8 @@
-//! Publishes poses at their due times: a heap by due time, and a thread that watches the clock.
+//! Publishes poses at their due times: a list by due time, and a thread that watches the clock.
 //!
 //! The thread sleeps until shortly before the next due time, then spins.
 
-use std::cmp::{Ordering, Reverse};
-use std::collections::BinaryHeap;
+use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -22,64 +21,31 @@ const BATCH_MOST: usize = 4096;
 /// Publications by due time; those with equal due times stay in order of arrival.
 #[derive(Default)]
 pub struct Schedule {
-    heap: BinaryHeap<Reverse<Entry>>,
+    waiting: BTreeMap<(Timestamp, u64), Publication>,
     count: u64,
-}
-
-struct Entry {
-    due: Timestamp,
-    number: u64,
-    publication: Publication,
 }
 
 impl Schedule {
     /// Adds a publication. Returns whether it is now the next one.
     pub fn push(&mut self, due: Timestamp, publication: Publication) -> bool {
-        let number = self.count;
+        let is_next = self.next_due().is_none_or(|next| due < next);
+        self.waiting.insert((due, self.count), publication);
         self.count += 1;
-        self.heap.push(Reverse(Entry { due, number, publication }));
-        self.heap.peek().is_some_and(|next| next.0.number == number)
+        is_next
     }
 
     /// Due time of the next publication.
     pub fn next_due(&self) -> Option<Timestamp> {
-        self.heap.peek().map(|next| next.0.due)
+        self.waiting.first_key_value().map(|((due, _), _)| *due)
     }
 
     /// The next publication and its due time, if it is due.
     pub fn take_due(&mut self, now: Timestamp) -> Option<(Timestamp, Publication)> {
-        if self.next_due()? > now {
-            return None;
-        }
-        self.heap.pop().map(|Reverse(entry)| (entry.due, entry.publication))
+        let next = self.waiting.first_entry().filter(|next| next.key().0 <= now)?;
+        let ((due, _), publication) = next.remove_entry();
+        Some((due, publication))
     }
 }
-
-impl Entry {
-    fn key(&self) -> (Timestamp, u64) {
-        (self.due, self.number)
-    }
-}
-
-impl Ord for Entry {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.key().cmp(&other.key())
-    }
-}
-
-impl PartialOrd for Entry {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Entry {
-    fn eq(&self, other: &Self) -> bool {
-        self.key() == other.key()
-    }
-}
-
-impl Eq for Entry {}
 
 /// Deviations from due times, collected for about a second.
 #[derive(Default)]

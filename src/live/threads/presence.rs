@@ -1,13 +1,14 @@
 //! One node for each performer, and one for the several performers of a stage: every node announces itself, and the one
 //! that came later stands back.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind};
 use crate::io::bus::{Bus, BusError, Guard};
-use crate::io::wire::{Event, Schema, Topics, encode, media_type};
+use crate::io::wire::{Event, Schema, Topics, encode, media_type, valid_name};
 use crate::live::clock::wall::WallClock;
 use crate::live::error::{Elder, NodeError};
 
@@ -69,6 +70,19 @@ impl Presence {
             None => Ok(self),
             Some(elder) => Err(self.stand_back(elder)),
         }
+    }
+
+    /// The take that recorders of the stage record; empty: none, or different ones.
+    ///
+    /// # Errors
+    /// The bus is closed, or does not answer in time.
+    pub fn recorded_take(&self) -> Result<String, BusError> {
+        let names = self.bus.announced(&self.topics.recorded_take("*"))?;
+        let root = self.topics.recorded_take("");
+        let takes: BTreeSet<&str> =
+            names.iter().filter_map(|name| name.strip_prefix(&root)).collect();
+        let only = takes.first().filter(|name| takes.len() == 1 && valid_name(name).is_ok());
+        Ok(only.map_or_else(String::new, |take| (*take).to_owned()))
     }
 
     /// As [`Bus::is_connected`].

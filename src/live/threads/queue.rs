@@ -117,6 +117,7 @@ impl Lane {
 }
 
 /// The queues without lock and clock.
+#[derive(Default)]
 struct Lanes {
     /// One for each order, one for all other topics, one for each camera.
     lanes: Vec<Lane>,
@@ -136,20 +137,8 @@ struct Lanes {
 
 impl Lanes {
     fn new(most: usize, orders: &[String], most_of_others: u64) -> Self {
-        let mut lanes = Self {
-            lanes: Vec::new(),
-            by_topic: HashMap::new(),
-            cameras: Vec::new(),
-            orders: orders.to_vec(),
-            most_of_others,
-            next: 0,
-            waiting: 0,
-            bytes: 0,
-            most: most.max(1),
-            second: 0,
-            losses: BTreeMap::new(),
-            report_at: Duration::ZERO,
-        };
+        let (orders, most) = (orders.to_vec(), most.max(1));
+        let mut lanes = Self { orders, most_of_others, most, ..Self::default() };
         lanes.build();
         lanes
     }

@@ -236,6 +236,14 @@ impl Running {
         Ok(self.presence.elder()?)
     }
 
+    /// As [`Presence::recorded_take`].
+    ///
+    /// # Errors
+    /// The bus is closed, or does not answer in time.
+    pub fn recorded_take(&self) -> Result<String, NodeError> {
+        Ok(self.presence.recorded_take()?)
+    }
+
     /// As [`Bus::is_connected`].
     pub fn is_connected(&self) -> bool {
         self.presence.is_connected()

@@ -6,35 +6,24 @@ use serde::{Deserialize, Serialize};
 use super::skinned::Skinned;
 use crate::core::body::{Attachment, Joint, Posture, Skeleton};
 use crate::core::detections::Keypoint;
+use crate::core::named;
 
-/// Whose bones a performer has, and where detectors see its keypoints.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Body {
-    /// A random shape of our body model, and our places of keypoints. Systematic offsets mirror each
-    /// other.
-    #[default]
-    Own,
-    /// The skeleton of the motion's file, and keypoints at its joints. Half of the variance of the
-    /// systematic offsets is the same on both sides, mirrored; the rest is each side's own. No joint
-    /// but the limbs' has a counterpart in our model.
-    Foreign,
-    /// One of the bodies of [`Skinned`]. Its keypoints are on the skin and shift with the pose. The
-    /// systematic offsets are like those of `Foreign`.
-    Skinned,
-}
-
-impl Body {
-    /// Every kind.
-    pub const ALL: [Self; 3] = [Self::Own, Self::Foreign, Self::Skinned];
-
-    /// The name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Own => "own",
-            Self::Foreign => "foreign",
-            Self::Skinned => "skinned",
-        }
+named! {
+    /// Whose bones a performer has, and where detectors see its keypoints.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Body {
+        /// A random shape of our body model, and our places of keypoints. Systematic offsets mirror each
+        /// other.
+        #[default]
+        Own = "own",
+        /// The skeleton of the motion's file, and keypoints at its joints. Half of the variance of the
+        /// systematic offsets is the same on both sides, mirrored; the rest is each side's own. No joint
+        /// but the limbs' has a counterpart in our model.
+        Foreign = "foreign",
+        /// One of the bodies of [`Skinned`]. Its keypoints are on the skin and shift with the pose. The
+        /// systematic offsets are like those of `Foreign`.
+        Skinned = "skinned",
     }
 }
 

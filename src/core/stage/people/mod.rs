@@ -135,7 +135,7 @@ pub enum Owner {
 }
 
 /// All people in view.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct People {
     gates: Gates,
     /// Most performers at a time.
@@ -163,22 +163,7 @@ pub(super) struct People {
 
 impl People {
     pub(super) fn new(limit: usize, gates: Gates) -> Self {
-        Self {
-            gates,
-            limit,
-            choice: Choice::default(),
-            members: Vec::new(),
-            absent: Vec::new(),
-            last_lost: None,
-            known: 0,
-            names: Names::default(),
-            reuses_numbers: false,
-            at: Timestamp::default(),
-            period: Nanos::ZERO,
-            steps: Vec::new(),
-            others: 0,
-            last: FrameSet::default(),
-        }
+        Self { gates, limit, ..Self::default() }
     }
 
     /// A time, but at least [`MIN_PERIODS`] frame periods.
