@@ -40,9 +40,7 @@ pub fn write_glb(
     poses: impl IntoIterator<Item = (f64, Pose)>,
 ) -> Result<usize, ExportError> {
     let Description { name, fps, timecode, style } = about;
-    if !(fps.is_finite() && *fps > 0.0) {
-        return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
-    }
+    ExportError::check_rate(path, *fps)?;
     let skin = Skin::of(skeleton, style);
     let keys = Keys::of(poses, 1.0 / fps, style, &skin)
         .map_err(|frame| ExportError::NotFinite { path: path.into(), frame })?;

@@ -184,9 +184,7 @@ pub fn write_mot(
     body: &Skeleton,
     poses: impl IntoIterator<Item = Pose>,
 ) -> Result<(), ExportError> {
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(ExportError::FrameRate { path: path.into(), fps });
-    }
+    ExportError::check_rate(path, fps)?;
     let (mut rows, mut frames, mut angles) = (String::new(), 0, Angles::new(body));
     for pose in poses {
         let numbers = angles.of(&pose);

@@ -83,6 +83,14 @@ impl ExportError {
     pub(crate) fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
         move |source| Self::Write { path: path.into(), source }
     }
+
+    /// Refuses a frame rate that is not above 0.
+    fn check_rate(path: &Path, fps: f64) -> Result<(), Self> {
+        match fps.is_finite() && fps > 0.0 {
+            true => Ok(()),
+            false => Err(Self::FrameRate { path: path.into(), fps }),
+        }
+    }
 }
 
 /// Why an import failed.

@@ -39,9 +39,7 @@ pub fn write_npz(
     skeleton: &Skeleton,
     poses: &[TimedPose],
 ) -> Result<(), ExportError> {
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(ExportError::FrameRate { path: path.into(), fps });
-    }
+    ExportError::check_rate(path, fps)?;
     // AMASS's world has z up.
     let (mut all, mut trans) = (Vec::new(), Vec::<f64>::new());
     for (frame, TimedPose { pose, .. }) in poses.iter().enumerate() {

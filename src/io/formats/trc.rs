@@ -141,9 +141,7 @@ pub struct Markers<'a> {
 /// The disk is full, the rate is not above 0, or a place is not finite.
 pub fn write_trc(path: &Path, markers: &Markers) -> Result<(), ExportError> {
     let Markers { fps, unit, names, frames, .. } = markers;
-    if !(fps.is_finite() && *fps > 0.0) {
-        return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
-    }
+    ExportError::check_rate(path, *fps)?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
     let (count, of_names, rate) = (frames.len(), names.len(), (fps * 1e4).round() / 1e4);
     let mut text = format!(

@@ -28,22 +28,18 @@ pub fn write_usda(
     poses: impl IntoIterator<Item = (f64, Pose)>,
 ) -> Result<usize, ExportError> {
     let Description { name, fps, style, .. } = about;
-    if !(fps.is_finite() && *fps > 0.0) {
-        return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
-    }
+    ExportError::check_rate(path, *fps)?;
     let skin = Skin::of(skeleton, style);
     let keys = Keys::of(poses, 1.0 / fps, style, &skin)
         .map_err(|frame| ExportError::NotFinite { path: path.into(), frame })?;
     let written = || {
         let mut new = NewFile::create(path)?;
-        let mut file = std::io::BufWriter::new(new.file());
+        let file = new.file();
         let joints = joints(style.names);
         write!(file, "{}", header(about, &keys))?;
         write!(file, "{}", bones(&skin, &joints))?;
-        animation(&mut file, &skin, &joints, &keys, *fps)?;
+        animation(file, &skin, &joints, &keys, *fps)?;
         writeln!(file, "    }}\n{}}}", surface(&skin, &identifier(name)))?;
-        file.flush()?;
-        drop(file);
         new.finish().map(drop)
     };
     written().map_err(ExportError::write(path))?;

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::error::{RecordError, Report};
-use super::message::{Entry, Kind, Message};
+use super::message::{Entry, Message};
 use super::reader::Reader;
 use crate::core::time::Timestamp;
-use crate::io::wire::{self, KeypointFrame};
+use crate::io::wire::{self, KeypointFrame, Rig, Schema};
 
 /// Content of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -140,10 +140,10 @@ fn from_index(reader: &Reader) -> Option<Info> {
 /// Adds data from the first message of each camera and of the rig, and stops reading there.
 fn first_messages(mut info: Info, reader: &mut Reader) -> Result<Info, RecordError> {
     let counted = |topic: &str| info.topics.get(topic).is_some_and(|topic| topic.count > 0);
-    let wanted = [Kind::Keypoints, Kind::Rig];
+    let wanted = [KeypointFrame::FULL_NAME, Rig::FULL_NAME];
     let mut unseen: std::collections::BTreeSet<_> = reader
         .channels()
-        .filter(|channel| channel.kind.is_some_and(|kind| wanted.contains(&kind)))
+        .filter(|channel| channel.is_ours && wanted.contains(&&*channel.schema))
         .filter(|channel| counted(&channel.topic))
         .map(|channel| channel.topic.clone())
         .collect();

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use prost::Name;
 use serde::{Serialize, Serializer};
 
 use crate::core::time::Timestamp;
 use crate::io::wire::{
     DecodeError, ENCODING, Event, HandOver, Journal, Keyframe, KeypointFrame, KeypointSet, Pose,
-    RetargetedPose, Rig, Skeleton, StageStatus, Status, Take, TakeAnswer, decode, is_truth,
+    RetargetedPose, Rig, Schema, Skeleton, StageStatus, Status, Take, TakeAnswer, decode,
+    descriptor, is_truth,
 };
 
 /// A message of a recording.
@@ -91,61 +91,20 @@ fn as_null<S: Serializer>(_: &str, _: &[u8], to: S) -> Result<S::Ok, S::Error> {
     to.serialize_none()
 }
 
-/// The schemas that we decode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    Keypoints,
-    Rig,
-    Pose,
-    Keyframe,
-    Skeleton,
-    Event,
-    Status,
-    StageStatus,
-    Journal,
-    Retargeted,
-    Take,
-    TakeAnswer,
-    KeypointSet,
-    HandOver,
-}
-
-impl Kind {
-    fn of_schema(schema: &str) -> Option<Self> {
-        Some(match schema.strip_prefix(Pose::PACKAGE)?.strip_prefix('.')? {
-            KeypointFrame::NAME => Self::Keypoints,
-            Rig::NAME => Self::Rig,
-            Pose::NAME => Self::Pose,
-            Keyframe::NAME => Self::Keyframe,
-            Skeleton::NAME => Self::Skeleton,
-            Event::NAME => Self::Event,
-            Status::NAME => Self::Status,
-            StageStatus::NAME => Self::StageStatus,
-            Journal::NAME => Self::Journal,
-            RetargetedPose::NAME => Self::Retargeted,
-            Take::NAME => Self::Take,
-            TakeAnswer::NAME => Self::TakeAnswer,
-            KeypointSet::NAME => Self::KeypointSet,
-            HandOver::NAME => Self::HandOver,
-            _ => return None,
-        })
-    }
-}
-
 /// A channel of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Channel {
     pub topic: Arc<str>,
     pub schema: Arc<str>,
     pub encoding: Arc<str>,
-    /// `None` for a foreign schema.
-    pub kind: Option<Kind>,
+    /// Whether the schema is ours.
+    pub is_ours: bool,
 }
 
 impl Channel {
     pub fn new(topic: &str, schema: &str, encoding: &str) -> Self {
-        let kind = Kind::of_schema(schema).filter(|_| encoding == ENCODING);
-        Self { topic: topic.into(), schema: schema.into(), encoding: encoding.into(), kind }
+        let is_ours = encoding == ENCODING && descriptor(schema).is_some();
+        Self { topic: topic.into(), schema: schema.into(), encoding: encoding.into(), is_ours }
     }
 }
 
@@ -171,55 +130,56 @@ impl Message {
         encoding: &str,
         data: &[u8],
     ) -> Result<Self, DecodeError> {
-        match Kind::of_schema(schema).filter(|_| encoding == ENCODING) {
-            Some(kind) => Self::of_kind(kind, topic, data),
-            None => Ok(Self::Other { schema: schema.to_owned(), data: data.to_owned() }),
-        }
-    }
-
-    fn of_kind(kind: Kind, topic: &str, data: &[u8]) -> Result<Self, DecodeError> {
         let truth = is_truth(topic);
-        Ok(match kind {
-            Kind::Keypoints => {
+        Ok(match schema {
+            _ if encoding != ENCODING => Self::other(schema, data),
+            KeypointFrame::FULL_NAME => {
                 let check = |frame: &KeypointFrame| frame.to_core(|_| Some(0)).map(drop);
                 Self::Keypoints(checked(data, check)?)
             }
-            Kind::KeypointSet => {
+            KeypointSet::FULL_NAME => {
                 let check = |set: &KeypointSet| set.to_core(|_| Some(0)).map(drop);
                 Self::KeypointSet(checked(data, check)?)
             }
-            Kind::HandOver => {
+            HandOver::FULL_NAME => {
                 let state = checked(data, |state: &HandOver| state.to_core().map(drop))?;
                 Self::HandOver(Box::new(state))
             }
-            Kind::Rig => Self::Rig(checked(data, |rig: &Rig| rig.to_core().map(drop))?),
-            Kind::Pose => {
+            Rig::FULL_NAME => Self::Rig(checked(data, |rig: &Rig| rig.to_core().map(drop))?),
+            Pose::FULL_NAME => {
                 let pose = checked(data, |pose: &Pose| {
                     pose.joint_positions()?;
                     pose.to_core().map(drop)
                 })?;
                 if truth { Self::TruthPose(pose) } else { Self::Pose(pose) }
             }
-            Kind::Keyframe => {
+            Keyframe::FULL_NAME => {
                 Self::Keyframe(checked(data, |keyframe: &Keyframe| keyframe.to_core().map(drop))?)
             }
-            Kind::Skeleton => {
+            Skeleton::FULL_NAME => {
                 let of = if truth { Skeleton::to_truth } else { Skeleton::to_core };
                 let skeleton = checked(data, |skeleton: &Skeleton| of(skeleton).map(drop))?;
                 if truth { Self::TruthSkeleton(skeleton) } else { Self::Skeleton(skeleton) }
             }
-            Kind::Event => Self::Event(decode::<Event>(data)?.validated()?),
-            Kind::Status => Self::Status(Box::new(decode(data)?)),
-            Kind::StageStatus => Self::StageStatus(decode(data)?),
-            Kind::Journal => Self::Journal(decode(data)?),
-            Kind::Retargeted => Self::Retargeted(decode::<RetargetedPose>(data)?.validated()?),
-            Kind::Take => Self::Take(decode(data)?),
-            Kind::TakeAnswer => Self::TakeAnswer(decode(data)?),
+            Event::FULL_NAME => Self::Event(decode::<Event>(data)?.validated()?),
+            Status::FULL_NAME => Self::Status(Box::new(decode(data)?)),
+            StageStatus::FULL_NAME => Self::StageStatus(decode(data)?),
+            Journal::FULL_NAME => Self::Journal(decode(data)?),
+            RetargetedPose::FULL_NAME => {
+                Self::Retargeted(decode::<RetargetedPose>(data)?.validated()?)
+            }
+            Take::FULL_NAME => Self::Take(decode(data)?),
+            TakeAnswer::FULL_NAME => Self::TakeAnswer(decode(data)?),
+            _ => Self::other(schema, data),
         })
+    }
+
+    fn other(schema: &str, data: &[u8]) -> Self {
+        Self::Other { schema: schema.to_owned(), data: data.to_owned() }
     }
 }
 
-fn checked<T: crate::io::wire::Schema>(
+fn checked<T: Schema>(
     data: &[u8],
     check: impl FnOnce(&T) -> Result<(), DecodeError>,
 ) -> Result<T, DecodeError> {

@@ -60,7 +60,7 @@ impl Reader {
 
     /// Fails if all channels known so far are foreign.
     fn require_channels(&self) -> Result<(), RecordError> {
-        if self.channels().any(|channel| channel.kind.is_some()) {
+        if self.channels().any(|channel| channel.is_ours) {
             return Ok(());
         }
         let topics = self.channels().map(|channel| match &*channel.schema {

@@ -138,38 +138,22 @@ impl<'a> Topic<'a> {
         Some(Self::Stage { stage, channel: StageChannel::parse(rest)? })
     }
 
+    fn facts(&self) -> Facts {
+        match self {
+            Self::Stage { channel, .. } => channel.facts(),
+            Self::Actor { channel, .. } => channel.facts(),
+        }
+    }
+
     /// Full name of the schema of messages on this topic.
     pub fn schema(&self) -> &'static str {
-        match self {
-            Self::Stage { channel, .. } => channel.schema(),
-            Self::Actor { channel, .. } => channel.schema(),
-        }
+        self.facts().1
     }
 
     /// Number of last messages that late joiners get; `None` for streams, whose messages are useful
     /// only while they are new.
     pub fn history(&self) -> Option<usize> {
-        match self {
-            Self::Stage { channel, .. } => match channel {
-                StageChannel::Rig | StageChannel::Status => Some(1),
-                StageChannel::Events => Some(64),
-                StageChannel::Take => Some(1),
-                StageChannel::TakeAnswers => Some(8),
-                StageChannel::Keypoints { .. } => None,
-            },
-            Self::Actor { channel, .. } => match channel {
-                ActorChannel::Skeleton | ActorChannel::Status | ActorChannel::HandOver => Some(1),
-                ActorChannel::Keyframe => Some(8),
-                ActorChannel::Events => Some(64),
-                ActorChannel::Journal => Some(256),
-                ActorChannel::Pose
-                | ActorChannel::Provisional
-                | ActorChannel::Retargeted { .. }
-                | ActorChannel::Keypoints
-                | ActorChannel::Truth
-                | ActorChannel::TruthSkeleton => None,
-            },
-        }
+        self.facts().2
     }
 
     /// Name of the capture volume.
@@ -196,66 +180,69 @@ impl<'a> Topic<'a> {
     }
 }
 
+/// Of all topics of a kind: the end of the topic (or how it begins if a name follows), schema and history.
+type Facts = (&'static str, &'static str, Option<usize>);
+
 impl<'a> StageChannel<'a> {
-    fn parse(text: &'a str) -> Option<Self> {
-        Some(match text {
-            "rig" => Self::Rig,
-            "events" => Self::Events,
-            "status" => Self::Status,
-            "take" => Self::Take,
-            "take/answers" => Self::TakeAnswers,
-            _ => {
-                let (camera, rest) = text.strip_prefix("camera/")?.split_once('/')?;
-                return (rest == "keypoints").then_some(Self::Keypoints { camera });
-            }
-        })
+    const WITHOUT_NAME: [Self; 5] =
+        [Self::Rig, Self::Events, Self::Status, Self::Take, Self::TakeAnswers];
+
+    fn facts(&self) -> Facts {
+        match self {
+            Self::Rig => ("rig", Rig::FULL_NAME, Some(1)),
+            Self::Events => ("events", Event::FULL_NAME, Some(64)),
+            Self::Status => ("status", StageStatus::FULL_NAME, Some(1)),
+            Self::Take => ("take", Take::FULL_NAME, Some(1)),
+            Self::TakeAnswers => ("take/answers", TakeAnswer::FULL_NAME, Some(8)),
+            Self::Keypoints { .. } => ("camera", KeypointFrame::FULL_NAME, None),
+        }
     }
 
-    fn schema(&self) -> &'static str {
-        match self {
-            Self::Rig => Rig::FULL_NAME,
-            Self::Events => Event::FULL_NAME,
-            Self::Status => StageStatus::FULL_NAME,
-            Self::Keypoints { .. } => KeypointFrame::FULL_NAME,
-            Self::Take => Take::FULL_NAME,
-            Self::TakeAnswers => TakeAnswer::FULL_NAME,
-        }
+    fn parse(text: &'a str) -> Option<Self> {
+        Self::WITHOUT_NAME.into_iter().find(|channel| channel.facts().0 == text).or_else(|| {
+            let (camera, rest) = text.strip_prefix("camera/")?.split_once('/')?;
+            (rest == "keypoints").then_some(Self::Keypoints { camera })
+        })
     }
 }
 
 impl<'a> ActorChannel<'a> {
-    fn parse(text: &'a str) -> Option<Self> {
-        Some(match text {
-            "keypoints" => Self::Keypoints,
-            "hand_over" => Self::HandOver,
-            "skeleton" => Self::Skeleton,
-            "status" => Self::Status,
-            "events" => Self::Events,
-            "keyframe" => Self::Keyframe,
-            "pose" => Self::Pose,
-            "pose/provisional" => Self::Provisional,
-            "journal" => Self::Journal,
-            "truth" => Self::Truth,
-            "truth/skeleton" => Self::TruthSkeleton,
-            _ => {
-                let name = text.strip_prefix("retargeted/")?;
-                return (!name.contains('/')).then_some(Self::Retargeted { name });
-            }
-        })
+    const WITHOUT_NAME: [Self; 11] = [
+        Self::Keypoints,
+        Self::HandOver,
+        Self::Skeleton,
+        Self::Status,
+        Self::Events,
+        Self::Keyframe,
+        Self::Pose,
+        Self::Provisional,
+        Self::Journal,
+        Self::Truth,
+        Self::TruthSkeleton,
+    ];
+
+    fn facts(&self) -> Facts {
+        match self {
+            Self::Keypoints => ("keypoints", KeypointSet::FULL_NAME, None),
+            Self::HandOver => ("hand_over", HandOver::FULL_NAME, Some(1)),
+            Self::Skeleton => ("skeleton", Skeleton::FULL_NAME, Some(1)),
+            Self::Status => ("status", Status::FULL_NAME, Some(1)),
+            Self::Events => ("events", Event::FULL_NAME, Some(64)),
+            Self::Keyframe => ("keyframe", Keyframe::FULL_NAME, Some(8)),
+            Self::Pose => ("pose", Pose::FULL_NAME, None),
+            Self::Provisional => ("pose/provisional", Pose::FULL_NAME, None),
+            Self::Journal => ("journal", Journal::FULL_NAME, Some(256)),
+            Self::Retargeted { .. } => ("retargeted", RetargetedPose::FULL_NAME, None),
+            Self::Truth => ("truth", Pose::FULL_NAME, None),
+            Self::TruthSkeleton => ("truth/skeleton", Skeleton::FULL_NAME, None),
+        }
     }
 
-    fn schema(&self) -> &'static str {
-        match self {
-            Self::Keypoints => KeypointSet::FULL_NAME,
-            Self::HandOver => HandOver::FULL_NAME,
-            Self::Skeleton | Self::TruthSkeleton => Skeleton::FULL_NAME,
-            Self::Status => Status::FULL_NAME,
-            Self::Events => Event::FULL_NAME,
-            Self::Keyframe => Keyframe::FULL_NAME,
-            Self::Pose | Self::Provisional | Self::Truth => Pose::FULL_NAME,
-            Self::Journal => Journal::FULL_NAME,
-            Self::Retargeted { .. } => RetargetedPose::FULL_NAME,
-        }
+    fn parse(text: &'a str) -> Option<Self> {
+        Self::WITHOUT_NAME.into_iter().find(|channel| channel.facts().0 == text).or_else(|| {
+            let name = text.strip_prefix("retargeted/")?;
+            (!name.contains('/')).then_some(Self::Retargeted { name })
+        })
     }
 }
 
@@ -273,32 +260,18 @@ impl fmt::Display for Topic<'_> {
 impl fmt::Display for StageChannel<'_> {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Rig => to.write_str("rig"),
-            Self::Events => to.write_str("events"),
-            Self::Status => to.write_str("status"),
             Self::Keypoints { camera } => write!(to, "camera/{camera}/keypoints"),
-            Self::Take => to.write_str("take"),
-            Self::TakeAnswers => to.write_str("take/answers"),
+            channel => to.write_str(channel.facts().0),
         }
     }
 }
 
 impl fmt::Display for ActorChannel<'_> {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-        to.write_str(match self {
-            Self::Skeleton => "skeleton",
-            Self::Status => "status",
-            Self::Events => "events",
-            Self::Keyframe => "keyframe",
-            Self::Pose => "pose",
-            Self::Provisional => "pose/provisional",
-            Self::Journal => "journal",
-            Self::Retargeted { name } => return write!(to, "retargeted/{name}"),
-            Self::Keypoints => "keypoints",
-            Self::HandOver => "hand_over",
-            Self::Truth => "truth",
-            Self::TruthSkeleton => "truth/skeleton",
-        })
+        match self {
+            Self::Retargeted { name } => write!(to, "retargeted/{name}"),
+            channel => to.write_str(channel.facts().0),
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 
-use safetensors::{Dtype, SafeTensors};
+use safetensors::SafeTensors;
 use serde_json::{Map, Value, json};
 
 use super::TrainError;
@@ -14,6 +14,7 @@ use super::latent::CODE;
 use super::mlp::Mlp;
 use super::model::Model;
 use crate::core::manifold::LATENT;
+use crate::core::manifold::weights::{Layer, WeightsError, checked_metadata, layers};
 use crate::io::new_file;
 
 /// Name of the format in the metadata.
@@ -97,74 +98,23 @@ pub fn bytes(content: &Content) -> Vec<u8> {
 pub fn read(path: &Path) -> Result<Model, TrainError> {
     let bytes =
         std::fs::read(path).map_err(|source| TrainError::Read { path: path.to_owned(), source })?;
-    parse(&bytes).map_err(|problem| TrainError::Weights { path: path.to_owned(), problem })
+    parse(&bytes)
+        .map_err(|error| TrainError::Weights { path: path.to_owned(), problem: error.to_string() })
 }
 
-/// Reads encoder and decoder from bytes. The error says what is wrong with them.
-pub fn parse(bytes: &[u8]) -> Result<Model, String> {
-    let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
-    let metadata = header.metadata().clone().unwrap_or_default();
-    for (key, expected) in [("format", FORMAT), ("version", VERSION), ("activation", ACTIVATION)] {
-        let found = metadata.get(key).map_or("nothing", String::as_str);
-        if found != expected {
-            return Err(format!("its `{key}` is `{found}`, not `{expected}`"));
-        }
-    }
-    let tensors = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
-    let encoder = widths(&tensors, "encoder", POSE, CODE)?;
-    let decoder = widths(&tensors, "decoder", LATENT, POSE)?;
-    let mut model = Model::new(&encoder, &decoder);
-    for (name, network) in [("encoder", model.encoder.clone()), ("decoder", model.decoder.clone())]
-    {
-        load(&tensors, name, &network, &mut model.parameters)?;
+/// Reads encoder and decoder from bytes.
+pub fn parse(bytes: &[u8]) -> Result<Model, WeightsError> {
+    checked_metadata(bytes, FORMAT)?;
+    let tensors = SafeTensors::deserialize(bytes)?;
+    let encoder = layers(&tensors, "encoder", POSE, CODE)?;
+    let decoder = layers(&tensors, "decoder", LATENT, POSE)?;
+    let hidden =
+        |layers: &[Layer]| -> Vec<usize> { layers[1..].iter().map(|layer| layer.inputs).collect() };
+    let mut model = Model::new(&hidden(&encoder), &hidden(&decoder));
+    let networks = [(&model.encoder, encoder), (&model.decoder, decoder)];
+    for (to, from) in networks.iter().flat_map(|(to, from)| to.layers().iter().zip(from)) {
+        model.parameters[to.weight.clone()].copy_from_slice(&from.weight);
+        model.parameters[to.bias.clone()].copy_from_slice(&from.bias);
     }
     Ok(model)
-}
-
-/// Hidden widths of a network. Checks that its widths begin with `first` and end with `last`.
-fn widths(
-    tensors: &SafeTensors,
-    name: &str,
-    first: usize,
-    last: usize,
-) -> Result<Vec<usize>, String> {
-    let mut widths = vec![first];
-    while let Ok(tensor) = tensors.tensor(&format!("{name}.{}.weight", widths.len() - 1)) {
-        match tensor.shape() {
-            [out, inputs] if widths.last() == Some(inputs) => widths.push(*out),
-            shape => {
-                let layer = widths.len() - 1;
-                return Err(format!("`{name}.{layer}.weight` has the shape {shape:?}"));
-            }
-        }
-    }
-    if widths.len() < 2 || widths.pop() != Some(last) {
-        return Err(format!("its {name} does not have {last} outputs"));
-    }
-    Ok(widths.split_off(1))
-}
-
-fn load(
-    tensors: &SafeTensors,
-    name: &str,
-    network: &Mlp,
-    parameters: &mut [f32],
-) -> Result<(), String> {
-    for (index, layer) in network.layers().iter().enumerate() {
-        for (part, range) in [("weight", &layer.weight), ("bias", &layer.bias)] {
-            let name = format!("{name}.{index}.{part}");
-            let tensor = tensors.tensor(&name).map_err(|error| error.to_string())?;
-            if tensor.dtype() != Dtype::F32 || tensor.data().len() != 4 * range.len() {
-                return Err(format!("`{name}` does not have {} f32 values", range.len()));
-            }
-            let numbers = tensor.data().as_chunks::<4>().0.iter().copied().map(f32::from_le_bytes);
-            for (parameter, number) in parameters[range.clone()].iter_mut().zip(numbers) {
-                if !number.is_finite() {
-                    return Err(format!("`{name}` has a value that is not finite"));
-                }
-                *parameter = number;
-            }
-        }
-    }
-    Ok(())
 }

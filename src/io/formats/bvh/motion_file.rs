@@ -22,9 +22,7 @@ pub(super) struct MotionFile {
 
 impl MotionFile {
     pub(super) fn create(path: &Path, hierarchy: &str, fps: f64) -> Result<Self, ExportError> {
-        if !(fps.is_finite() && fps > 0.0) {
-            return Err(ExportError::FrameRate { path: path.into(), fps });
-        }
+        ExportError::check_rate(path, fps)?;
         let head = format!("{hierarchy}MOTION\nFrames: ");
         let tail = format!("{:>COUNT_DIGITS$}\nFrame Time: {:.9}\n", 0, 1.0 / fps);
         let mut file = NewFile::create(path).map_err(ExportError::write(path))?;

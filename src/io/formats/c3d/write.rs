@@ -27,9 +27,7 @@ const MOST: usize = 255;
 /// The disk is full, the rate is not above 0, a place is not finite, or there are more than 255 markers.
 pub fn write_c3d(path: &Path, markers: &Markers) -> Result<(), ExportError> {
     let Markers { fps, unit, names, frames, .. } = markers;
-    if !(fps.is_finite() && *fps > 0.0) {
-        return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
-    }
+    ExportError::check_rate(path, *fps)?;
     let is_finite = |at: &Vector3<f64>| at.iter().all(|metres| metres.is_finite());
     if let Some(frame) = frames.iter().position(|row| !row.iter().flatten().all(is_finite)) {
         return Err(ExportError::NotFinite { path: path.into(), frame });
@@ -40,7 +38,7 @@ pub fn write_c3d(path: &Path, markers: &Markers) -> Result<(), ExportError> {
         let blocks = parameters(markers, count, 0).len() / BLOCK;
         let first = u16::from(PARAMETERS) + blocks as u16;
         let mut new = NewFile::create(path)?;
-        let mut file = std::io::BufWriter::new(new.file());
+        let file = new.file();
         file.write_all(&header(markers, count, first))?;
         file.write_all(&parameters(markers, count, first))?;
         for places in *frames {
@@ -54,8 +52,6 @@ pub fn write_c3d(path: &Path, markers: &Markers) -> Result<(), ExportError> {
                 }
             }
         }
-        file.flush()?;
-        drop(file);
         new.finish().map(drop)
     };
     written().map_err(ExportError::write(path))
