@@ -43,12 +43,14 @@ enum Happens {
     IsDeaf,
     /// Some of its last hand-overs are sent again.
     Echoes,
+    /// Somebody else offers it another calibration.
+    IsOffered,
     /// All nodes get this command for the performer of that name.
     IsTold(&'static str),
 }
 use Happens::{
-    Echoes, Hangs, IsBack, IsCutOff, IsDeaf, IsKilled, IsTold, Leaves, LosesASet, Sleeps, Starts,
-    WakesUp,
+    Echoes, Hangs, IsBack, IsCutOff, IsDeaf, IsKilled, IsOffered, IsTold, Leaves, LosesASet,
+    Sleeps, Starts, WakesUp,
 };
 
 /// A node and the number of its messages that are on their way.
@@ -159,6 +161,13 @@ fn play(
                     let told = slate(action, name, now.seconds_since(at(0.0)));
                     let to = nodes.keys().map(|node| (node.clone(), told.clone()));
                     to.for_each(|(node, told)| transit.entry(node).or_default().push(told));
+                }
+                IsOffered => {
+                    let mut other: wire::Rig = decode(&rig.payload).unwrap();
+                    other.cameras[0].focal_px[0] *= 1.2;
+                    let (arrival, payload) = (now + NETWORK * 2, encode(&other));
+                    let offer = Sent { arrival, payload, ..rig.clone() };
+                    transit.entry((*name).to_owned()).or_default().push(offer);
                 }
                 LosesASet => {
                     losing.insert((*name).to_owned(), BTreeSet::new());
@@ -293,6 +302,13 @@ fn solvers_give_the_poses_of_one_node() {
     assert!(front.cameras.iter().all(|camera| camera.residual_px > 0.0 && camera.near > 0.0));
     assert_eq!(front.declared_latency_ns, 300_000_000);
     assert_eq!(front.tracker_state, "tracking");
+}
+
+#[test]
+fn solvers_use_the_calibration_of_the_front() {
+    let script = [(-0.79, "a", IsOffered), (-0.79, "b", IsOffered), (3.0, "c", IsOffered)];
+    let nodes = play((stage(), SECONDS), &[], &start_three(&script));
+    assert!(poses_of(&nodes) == poses_of_one());
 }
 
 #[test]

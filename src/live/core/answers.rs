@@ -190,7 +190,8 @@ impl Core {
 
     /// Publishes a performer's detections, for other nodes.
     fn frames_of(&mut self, performer: PerformerId, frames: &PerformerFrames) {
-        let Some(rig) = self.calibration.as_ref().map(|of| Arc::clone(&of.rig)) else { return };
+        let Some(of) = &self.calibration else { return };
+        let (rig, rig_hash) = (Arc::clone(&of.rig), of.hash);
         let frame = |frame: &Detections| {
             let camera = rig.cameras.get(frame.camera)?;
             let size = [camera.width, camera.height];
@@ -208,6 +209,7 @@ impl Core {
             number: *number,
             label,
             run_id: self.run_id,
+            rig_hash,
         };
         let topic = self.performer(performer).topics.actor_keypoints();
         self.publish(topic, frames.complete, Content::Keypoints(message));

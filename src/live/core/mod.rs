@@ -45,6 +45,7 @@ use status::Published;
 struct Calibration {
     rig: Arc<Rig>,
     bytes: Vec<u8>,
+    hash: u64,
 }
 
 /// The node without its threads. The same inputs at the same times give the same outputs.

@@ -65,10 +65,13 @@ impl Core {
         **topic == *self.topics.rig() && (self.rig() == Some(payload) || is_refused())
     }
 
-    /// Takes a rig from the bus, unless a file gives the rig.
+    /// Takes a rig from the bus, unless a file gives the rig, or the front of a solver uses another one.
     pub(super) fn rig_from_bus(&mut self, bytes: &[u8]) {
         if !self.has_rig_file() {
-            self.calibrate(bytes, "the bus");
+            let hash = wire::decode::<wire::Rig>(bytes).map_or(0, |rig| hash_of(&rig));
+            if !self.is_solver() || self.sharing.offer(hash, bytes) {
+                self.calibrate(bytes, "the bus");
+            }
             return;
         }
         // A run may begin with a rig that is known.
@@ -80,6 +83,13 @@ impl Core {
         let what = wire::decode::<wire::Rig>(bytes).map_or("not a rig".into(), |rig| told(&rig));
         let detail = format!("{what}, from the bus; this node's rig comes from its file");
         self.event(EventKind::RigRefused, None, detail);
+    }
+
+    /// A solver uses the calibration of the front, if that has come.
+    pub(super) fn use_rig_of_front(&mut self, hash: u64) {
+        if let Some(bytes) = self.sharing.rig_of_front(hash) {
+            self.calibrate(&bytes, "the front");
+        }
     }
 
     /// Sets the calibration. Returns whether it is new and usable.
@@ -118,7 +128,8 @@ impl Core {
         self.tell_ended_corrections(&rig);
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
-        self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
+        let (bytes, hash) = (bytes.to_vec(), hash_of(&message));
+        self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes, hash });
         match self.stage {
             // With several performers it holds for the next frame.
             Some(_) if self.is_several() => {
@@ -178,4 +189,9 @@ fn told(rig: &wire::Rig) -> String {
     let (version, cameras) = (rig.version, rig.cameras.len());
     let names: String = names.join(", ").chars().take(MOST_CHARS).collect();
     format!("version {version} of {cameras} cameras ({names})")
+}
+
+/// Which calibration a message is, whoever encoded it.
+fn hash_of(rig: &wire::Rig) -> u64 {
+    fnv1a(&wire::encode(rig))
 }

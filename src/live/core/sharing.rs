@@ -37,6 +37,8 @@ const SILENT: Nanos = Nanos::SECOND;
 const NO_FRAMES: Nanos = Nanos::SECOND;
 /// A state that is older than the known one by up to this is not used. By more, the cameras' clock went back.
 const MOST_LATE: Nanos = Nanos::from_ms(60_000);
+/// Most calibrations from the bus that are kept.
+const MOST_RIGS: usize = 8;
 /// The motion goes on if the frames begin at most this long after its end.
 const HOLE: Nanos = Nanos::from_ms(100);
 
@@ -86,6 +88,10 @@ pub(super) struct Sharing {
     complete: Timestamp,
     /// By camera, the newest capture time.
     newest: BTreeMap<usize, Timestamp>,
+    /// Hash of the front's calibration; 0: not known.
+    rig: u64,
+    /// The last calibrations on the bus, with their hashes.
+    rigs: VecDeque<(u64, Vec<u8>)>,
 }
 
 impl Sharing {
@@ -104,6 +110,24 @@ impl Sharing {
     pub(super) fn ours(&self) -> Vec<PerformerId> {
         let ours = self.performers.iter().filter(|(_, shared)| shared.is_ours);
         ours.map(|(number, _)| *number).collect()
+    }
+
+    /// Keeps a calibration from the bus. Returns whether it may be the front's.
+    pub(super) fn offer(&mut self, hash: u64, bytes: &[u8]) -> bool {
+        self.rigs.retain(|(other, _)| *other != hash);
+        self.rigs.push_back((hash, bytes.to_vec()));
+        if self.rigs.len() > MOST_RIGS {
+            self.rigs.pop_front();
+        }
+        self.rig == 0 || self.rig == hash
+    }
+
+    /// The calibration with that hash, if the front uses it from now on and it has come.
+    pub(super) fn rig_of_front(&mut self, hash: u64) -> Option<Vec<u8>> {
+        if std::mem::replace(&mut self.rig, hash) == hash {
+            return None;
+        }
+        self.rigs.iter().find(|(other, _)| *other == hash).map(|(_, bytes)| bytes.clone())
     }
 
     /// Forgets the frames: the cameras are others from here on.
@@ -177,12 +201,15 @@ impl Core {
 
     /// A solver got the frames of a performer.
     pub(super) fn keypoint_set(&mut self, actor: &str, payload: &[u8]) {
+        let message = wire::decode::<KeypointSet>(payload);
+        if let Ok(KeypointSet { rig_hash: hash @ 1.., .. }) = message {
+            self.use_rig_of_front(hash);
+        }
         let Some(calibration) = &self.calibration else {
             let detail = "keypoints before a calibration; give it to the front".to_owned();
             return self.event(EventKind::Unusable, None, detail);
         };
         let rig = Arc::clone(&calibration.rig);
-        let message = wire::decode::<KeypointSet>(payload);
         let checked = message.and_then(|message| Ok((self.checked(&message, &rig)?, message)));
         let ((performer, mut set), message) = match checked {
             Ok(checked) => checked,
