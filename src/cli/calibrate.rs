@@ -33,9 +33,9 @@ Calibration: compares the limbs in each view with those triangulated from the ot
 the rotation, position and focal length of as few cameras as possible. Prints each camera's
 disagreement (median, pixels) before and after, and each correction with its standard error. A
 correction counts if it is above 3 standard errors and above 0.1 degrees, 5 mm or 0.3 %, and if it
-lowers the disagreement of its camera by a tenth. Corrections are rather too small: a shift of 10 cm may
-come out some centimetres smaller. The standard error does not contain that. Errors of many degrees need
-a new calibration. At least three cameras are needed.
+lowers the disagreement of its camera by a tenth. Large corrections are underestimated: of a shift of
+10 cm, some centimetres may be missing. The standard error does not include this. Errors of many degrees
+need a new calibration. At least three cameras are needed.
 
 --out writes the calibration with the significant offsets (time_offset_ms) and corrections, for
 `solve --rig` and the node's `rig`. Check it on another recording with `solve --rig FILE --hold-out

@@ -91,11 +91,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let others = replayed.others.join(", ");
     let own = format!("{:016x}", replayed.start.run_id);
     let is_part = arguments.run != Some(own) && !others.is_empty();
-    let is_empty = replayed.topics.values().all(|topic| topic.agrees() && topic.equal == 0);
     let exit = match arguments.verify {
-        // Why, is said below.
-        true if is_empty && (is_part || replayed.gap.is_some()) => Exit::InPart,
-        true => verdict(arguments, &messages, &replayed, &topics.pose())?,
+        true => verdict(arguments, &messages, &replayed, &topics.pose(), is_part)?,
         false => Exit::Done,
     };
     if is_part {
@@ -206,6 +203,7 @@ fn verdict(
     messages: &[Recorded],
     replayed: &Replayed,
     pose_topic: &str,
+    is_part: bool,
 ) -> Ended {
     let file = arguments.file.display();
     let compared: usize = replayed.topics.values().map(|topic| topic.equal).sum();
@@ -213,6 +211,10 @@ fn verdict(
     if differing == 0 && compared > 0 {
         say(&format!("{compared} messages are equal, byte for byte"));
         return Ok(Exit::Done);
+    }
+    // A warning says what is missing.
+    if compared == 0 && differing == 0 && (is_part || replayed.gap.is_some()) {
+        return Ok(Exit::InPart);
     }
     if compared == 0 {
         let message = format!("{file} has no outputs of the node to compare; record them too");

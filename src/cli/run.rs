@@ -32,7 +32,7 @@ const LOOK: Duration = Duration::from_millis(200);
 const LOOKS: u32 = 2;
 /// How often a running node looks for an older one, which another network may bring.
 const ELDERS: Duration = Duration::from_secs(2);
-/// A take that was recorded at so many looks in a row began before the node: a command would have come by then.
+/// A take is joined after so many looks in a row: if it began after the node started, the command has come by then.
 const LOOKS_TO_JOIN: u32 = 3;
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
@@ -372,7 +372,7 @@ fn wait(
 ) -> (&'static str, Option<live::Elder>) {
     let mut looked = Instant::now();
     let mut was_connected = true;
-    // A take that it has ended is not joined again.
+    // A take that this node has ended is not joined again.
     let (mut may_join, mut looks) = (true, 0);
     loop {
         if stop.is_set() {

@@ -195,20 +195,21 @@ impl Check {
     fn of_performers(mut checks: Vec<Self>) -> Self {
         let mut all = checks.remove(0);
         let mut agreeing: Vec<usize> = all.agreeing().collect();
-        let (is_clean, see_others) =
-            (all.is_clean(), all.cameras.iter().map(|one| one.sees_others));
-        let see_others: Vec<bool> = see_others.collect();
+        let is_clean = all.is_clean();
+        let see_others: Vec<bool> = all.cameras.iter().map(|camera| camera.sees_others).collect();
         let counts =
             |agreeing: &[usize], check: &Self| check.agreeing().any(|one| agreeing.contains(&one));
         while let Some(at) = checks.iter().position(|check| counts(&agreeing, check)) {
             let check = checks.remove(at);
             agreeing.extend(check.agreeing());
-            all = if is_clean { all } else { all.joined(check) };
+            if !is_clean {
+                all = all.joined(check);
+            }
         }
         for ((index, camera), sees_others) in all.cameras.iter_mut().enumerate().zip(see_others) {
             let is_apart = sees_others && !agreeing.contains(&index) && agreeing.len() > 1;
             if is_apart && camera.findings.is_empty() {
-                // It agrees with other cameras that are apart.
+                // Its numbers come from cameras that are apart too.
                 (camera.agreeing_percent, camera.error_px) = (None, None);
                 camera.findings.push(Finding::new(
                     "apart",

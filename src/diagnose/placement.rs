@@ -53,7 +53,8 @@ const MODELS: [Model; 10] = [
     (&MOVE, 1.3, &[1.0]),
     (&PLACE, 1.5, &[1.0]),
 ];
-/// A camera is rarely turned and moved so far, degrees and centimetres: rather, its images are those of another camera.
+/// If the fit turns and moves a camera by more than this (degrees, centimetres), its images are probably those of another
+/// camera.
 const CARRIED: (f64, f64) = (45.0, 100.0);
 const LAST: Model = (&PLACE_AND_FOCAL, 1.6, &[1.0]);
 

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use bundlemocap::config::Config;
 use bundlemocap::core::detections::Detections;
+use bundlemocap::core::fnv::fnv1a;
 use bundlemocap::core::stage::{self, Known};
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{known_people, write_body};
@@ -307,8 +308,52 @@ fn solvers_give_the_poses_of_one_node() {
 #[test]
 fn solvers_use_the_calibration_of_the_front() {
     let script = [(-0.79, "a", IsOffered), (-0.79, "b", IsOffered), (3.0, "c", IsOffered)];
-    let nodes = play((stage(), SECONDS), &[], &start_three(&script));
+    let mut nodes = play((stage(), SECONDS), &[], &start_three(&script));
     assert!(poses_of(&nodes) == poses_of_one());
+    assert_replays(nodes.remove("b").unwrap(), "b", None);
+}
+
+/// A take begins anew, and then somebody offers another calibration before the first keypoints.
+#[test]
+fn solvers_use_the_calibration_of_the_front_in_a_take_too() {
+    let script = [(2.0, "walk", IsTold("start")), (2.0, "b", IsOffered)];
+    let mut nodes = play((stage(), SECONDS), &[], &start_three(&script));
+    let details = nodes["b"].world.heard.details("rig_changed");
+    assert!(details.iter().any(|detail| detail.ends_with("from the bus")), "{details:?}");
+    assert!(details.last().unwrap().ends_with("from the front"), "{details:?}");
+    assert_replays(nodes.remove("b").unwrap(), "b", Some("walk"));
+}
+
+#[test]
+fn a_solver_uses_the_last_calibration_if_the_front_does_not_say_its_own() {
+    let stage = stage();
+    let mut config = stage.config.clone();
+    config.node.solver = true;
+    let mut world = World::new(&config);
+    let rig: wire::Rig = decode(&stage.studio.rig().payload).unwrap();
+    let offer = |world: &mut World, version: u64| {
+        let payload = encode(&wire::Rig { version, ..rig.clone() });
+        let topic = Topics::default().rig().into();
+        world.tell(Input::Message { topic, payload });
+        world.core.rig().map(|rig| decode::<wire::Rig>(rig).unwrap().version).unwrap()
+    };
+    let set = |world: &mut World, rig_hash: u64| {
+        let payload = encode(&wire::KeypointSet { rig_hash, ..wire::KeypointSet::default() });
+        let topics = Topics { actor: "p1".into(), ..Topics::default() };
+        world.tell(Input::Message { topic: topics.actor_keypoints().into(), payload });
+    };
+    assert_eq!([1, 2].map(|version| offer(&mut world, version)), [1, 2]);
+    // The front uses one that has not come.
+    set(&mut world, 7);
+    assert!(world.heard.details("unusable")[0].contains("has not come"));
+    assert_eq!(offer(&mut world, 3), 3);
+    let hash = fnv1a(&encode(&wire::Rig { version: 2, ..rig.clone() }));
+    set(&mut world, hash);
+    let many: Vec<u64> = (4..24).map(|version| offer(&mut world, version)).collect();
+    assert_eq!(many, [2; 20]);
+    // An older front does not say which one it uses.
+    set(&mut world, 0);
+    assert_eq!(offer(&mut world, 24), 24);
 }
 
 #[test]
@@ -393,15 +438,19 @@ fn a_front_and_a_solver_replay_to_the_same_bytes() {
     let solver =
         *["a", "b", "c"].iter().find(|name| who(&nodes, [1.5, 4.0]).contains_key(**name)).unwrap();
     for (name, actor) in [("front", "actor"), (solver, solver)] {
-        let Node { mut world, inputs, .. } = nodes.remove(name).unwrap();
-        world.end();
-        let mut recorded = world.heard.messages;
-        recorded.extend(inputs.into_iter().map(Recorded::from));
-        let topics = Topics { actor: actor.to_owned(), ..Topics::default() };
-        let replayed = replayed_as(&recorded, &topics, None).unwrap();
-        assert!(replayed.is_whole && replayed.gap.is_none(), "{name}");
-        assert_agrees(&replayed);
+        assert_replays(nodes.remove(name).unwrap(), actor, None);
     }
+}
+
+/// The node ends. Its run, or that of the take, is replayed to the same bytes.
+fn assert_replays(Node { mut world, inputs, .. }: Node, actor: &str, run: Option<&str>) {
+    world.end();
+    let mut recorded = world.heard.messages;
+    recorded.extend(inputs.into_iter().map(Recorded::from));
+    let topics = Topics { actor: actor.to_owned(), ..Topics::default() };
+    let replayed = replayed_as(&recorded, &topics, run).unwrap();
+    assert!(replayed.is_whole && replayed.gap.is_none(), "{actor}");
+    assert_agrees(&replayed);
 }
 
 /// The performers of a solver that says nothing any more, and is still there, go to the others.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-use bundlemocap::io::recording::{RawEntry, Reader};
+use bundlemocap::io::recording::{Provenance, RawEntry, Reader, Writer};
 use bundlemocap::io::wire::journal_entry::Input;
 use bundlemocap::io::wire::{Event, Journal, KeypointFrame, Pose, Schema, Topics, decode};
 
@@ -234,6 +234,28 @@ fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     for kind in ["late", "missing", "duplicate", "out_of_order", "acquired"] {
         assert!(kinds.contains_key(kind), "{kind}: {kinds:?}");
     }
+}
+
+#[test]
+fn a_replay_without_recorded_outputs_says_what_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.mcap");
+    let all = entries(concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/disturbed.mcap").as_ref());
+    let ends_with = |entry: &RawEntry, end: &str| entry.topic.ends_with(end);
+    // The first keypoints are lost.
+    let first = all.iter().position(|entry| ends_with(entry, "/keypoints")).unwrap();
+    let inputs = ["/keypoints", "/rig", "/take", "/journal"];
+    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+    for (_, entry) in all.iter().enumerate().filter(|(at, _)| *at != first) {
+        if inputs.iter().any(|input| ends_with(entry, input)) {
+            writer.write_raw(entry).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let output = Command::new(PROGRAM).args(["replay", "--verify"]).arg(&path).output().unwrap();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(6), "{errors}");
+    assert!(errors.contains("/keypoints is missing"), "{errors}");
 }
 
 /// Not even the calibration comes on another stage.

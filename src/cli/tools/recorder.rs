@@ -169,8 +169,8 @@ impl Recorder {
         self.all.iter_mut().chain(take).chain(ending)
     }
 
-    /// Writes a message to the open files. Before that, opens a file for a take that began before this recorder, if a node
-    /// says so.
+    /// Writes a message to the open files. First opens a file if a node says that a take runs which began before this
+    /// recorder.
     pub(crate) fn write(&mut self, entry: RawEntry) -> Result<Vec<Said>, RecordError> {
         let said = self.join(&entry)?;
         for file in self.files() {

@@ -149,7 +149,7 @@ impl Stage {
             left_out.iter().enumerate().any(|(camera, out)| crowd.is_left_out(camera) != *out)
         };
         if self.crowd.as_ref().is_some_and(is_news) {
-            // Without windows it would keep the old calibration.
+            // The template has no windows, so it would keep the old calibration.
             self.template.use_next_rig();
             for (number, tracker) in self.trackers.iter_mut().enumerate() {
                 if number != self.lead {

@@ -41,7 +41,7 @@ named! {
         Overdue = "overdue",
         /// A new calibration is in use.
         Calibrated = "calibrated",
-        /// Another rig was taken, from the file or from the bus.
+        /// Another rig is in use: from the file, from the bus, that of the front, or after mending.
         RigChanged = "rig_changed",
         /// A rig from the bus was refused: a file gives the rig.
         RigRefused = "rig_refused",

@@ -35,9 +35,9 @@ impl Tracker {
         self.send(window, task);
     }
 
-    /// Uses the calibration that waits, if there is one.
+    /// Uses the calibration that waits, if there is one. Returns whether there was.
     pub(in crate::core) fn use_next_rig(&mut self) -> bool {
-        // It compares with the calibration that waits.
+        // This needs the calibration that waits, so it comes first.
         let left_out = self.left_out();
         let Some(rig) = self.next_rig.take() else { return false };
         let mut rig = Arc::unwrap_or_clone(rig);

@@ -208,7 +208,8 @@ impl Tracker {
         cameras.map(|(i, (old, new))| self.is_left_out(i) && old.has_pose_of(new)).collect()
     }
 
-    /// These cameras are left out of all windows. A tracker whose next window has another calibration knows by itself.
+    /// These cameras are left out of all windows. Ignored if a new calibration waits: the tracker then finds the moved
+    /// cameras itself.
     pub(in crate::core) fn leave_out_moved(&mut self, cameras: Vec<bool>) {
         if self.next_rig.is_none() {
             self.left_out = cameras;
@@ -552,7 +553,7 @@ impl Tracker {
         self.rig = rig;
         self.restart();
         if self.live.is_some() && !self.is_fed {
-            // Their cameras may be no more.
+            // The new rig may not have their cameras.
             self.report(before.abandoned().map(|event| Event { camera: None, ..event }).collect());
         }
     }

@@ -6,11 +6,12 @@ use super::state_machine::{Phase, Tracker};
 use super::waiting::Closing;
 use crate::core::time::{Grid, Nanos, Timestamp};
 
-/// Frame period where none can be measured, as in a recording that is too short, ns: 60 frames per second.
+/// Frame period if it cannot be measured, ns: that of 60 frames/s.
 pub(in crate::core) const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
 /// A live tracker drops an open window that ended this long before the newest frames, and continues
-/// with those. The windows of the shape may take longer, and windows wait for silent cameras.
+/// with those. The limit is larger while the shape is estimated, and while a window waits for a silent camera.
 const MAX_BACKLOG: Nanos = Nanos::SECOND;
+/// The windows of the shape raise that limit to this at most.
 const MAX_SHAPE: Nanos = Nanos::from_ms(10_000);
 /// Live, frames wait this long until their rate is known.
 const NO_RATE: Nanos = Nanos::from_ms(5000);
@@ -105,7 +106,7 @@ impl Tracker {
         }
     }
 
-    /// Where frames do not show their rate, [`FALLBACK_PERIOD`] is taken at the end, or live if they have waited for long.
+    /// Uses [`FALLBACK_PERIOD`] if the frame rate cannot be measured: at the end, or live after [`NO_RATE`].
     fn fall_back(&mut self) {
         let waiting = self.intake.first().zip(self.intake.newest());
         let is_long = |(first, newest): &(Timestamp, Timestamp)| *newest - *first > NO_RATE;

@@ -147,13 +147,13 @@ impl<'a> Topic<'a> {
 
     /// Full name of the schema of messages on this topic.
     pub fn schema(&self) -> &'static str {
-        self.facts().1
+        self.facts().schema
     }
 
     /// Number of last messages that late joiners get; `None` for streams, whose messages are useful
     /// only while they are new.
     pub fn history(&self) -> Option<usize> {
-        self.facts().2
+        self.facts().history
     }
 
     /// Name of the capture volume.
@@ -180,8 +180,19 @@ impl<'a> Topic<'a> {
     }
 }
 
-/// Of all topics of a kind: the end of the topic (or how it begins if a name follows), schema and history.
-type Facts = (&'static str, &'static str, Option<usize>);
+/// What is the same for all topics of a channel.
+struct Facts {
+    /// The end of the topic, or its first part if a name follows.
+    path: &'static str,
+    /// Full name.
+    schema: &'static str,
+    /// See [`Topic::history`].
+    history: Option<usize>,
+}
+
+const fn facts(path: &'static str, schema: &'static str, history: Option<usize>) -> Facts {
+    Facts { path, schema, history }
+}
 
 impl<'a> StageChannel<'a> {
     const WITHOUT_NAME: [Self; 5] =
@@ -189,17 +200,17 @@ impl<'a> StageChannel<'a> {
 
     fn facts(&self) -> Facts {
         match self {
-            Self::Rig => ("rig", Rig::FULL_NAME, Some(1)),
-            Self::Events => ("events", Event::FULL_NAME, Some(64)),
-            Self::Status => ("status", StageStatus::FULL_NAME, Some(1)),
-            Self::Take => ("take", Take::FULL_NAME, Some(1)),
-            Self::TakeAnswers => ("take/answers", TakeAnswer::FULL_NAME, Some(8)),
-            Self::Keypoints { .. } => ("camera", KeypointFrame::FULL_NAME, None),
+            Self::Rig => facts("rig", Rig::FULL_NAME, Some(1)),
+            Self::Events => facts("events", Event::FULL_NAME, Some(64)),
+            Self::Status => facts("status", StageStatus::FULL_NAME, Some(1)),
+            Self::Take => facts("take", Take::FULL_NAME, Some(1)),
+            Self::TakeAnswers => facts("take/answers", TakeAnswer::FULL_NAME, Some(8)),
+            Self::Keypoints { .. } => facts("camera", KeypointFrame::FULL_NAME, None),
         }
     }
 
     fn parse(text: &'a str) -> Option<Self> {
-        Self::WITHOUT_NAME.into_iter().find(|channel| channel.facts().0 == text).or_else(|| {
+        Self::WITHOUT_NAME.into_iter().find(|channel| channel.facts().path == text).or_else(|| {
             let (camera, rest) = text.strip_prefix("camera/")?.split_once('/')?;
             (rest == "keypoints").then_some(Self::Keypoints { camera })
         })
@@ -223,23 +234,23 @@ impl<'a> ActorChannel<'a> {
 
     fn facts(&self) -> Facts {
         match self {
-            Self::Keypoints => ("keypoints", KeypointSet::FULL_NAME, None),
-            Self::HandOver => ("hand_over", HandOver::FULL_NAME, Some(1)),
-            Self::Skeleton => ("skeleton", Skeleton::FULL_NAME, Some(1)),
-            Self::Status => ("status", Status::FULL_NAME, Some(1)),
-            Self::Events => ("events", Event::FULL_NAME, Some(64)),
-            Self::Keyframe => ("keyframe", Keyframe::FULL_NAME, Some(8)),
-            Self::Pose => ("pose", Pose::FULL_NAME, None),
-            Self::Provisional => ("pose/provisional", Pose::FULL_NAME, None),
-            Self::Journal => ("journal", Journal::FULL_NAME, Some(256)),
-            Self::Retargeted { .. } => ("retargeted", RetargetedPose::FULL_NAME, None),
-            Self::Truth => ("truth", Pose::FULL_NAME, None),
-            Self::TruthSkeleton => ("truth/skeleton", Skeleton::FULL_NAME, None),
+            Self::Keypoints => facts("keypoints", KeypointSet::FULL_NAME, None),
+            Self::HandOver => facts("hand_over", HandOver::FULL_NAME, Some(1)),
+            Self::Skeleton => facts("skeleton", Skeleton::FULL_NAME, Some(1)),
+            Self::Status => facts("status", Status::FULL_NAME, Some(1)),
+            Self::Events => facts("events", Event::FULL_NAME, Some(64)),
+            Self::Keyframe => facts("keyframe", Keyframe::FULL_NAME, Some(8)),
+            Self::Pose => facts("pose", Pose::FULL_NAME, None),
+            Self::Provisional => facts("pose/provisional", Pose::FULL_NAME, None),
+            Self::Journal => facts("journal", Journal::FULL_NAME, Some(256)),
+            Self::Retargeted { .. } => facts("retargeted", RetargetedPose::FULL_NAME, None),
+            Self::Truth => facts("truth", Pose::FULL_NAME, None),
+            Self::TruthSkeleton => facts("truth/skeleton", Skeleton::FULL_NAME, None),
         }
     }
 
     fn parse(text: &'a str) -> Option<Self> {
-        Self::WITHOUT_NAME.into_iter().find(|channel| channel.facts().0 == text).or_else(|| {
+        Self::WITHOUT_NAME.into_iter().find(|channel| channel.facts().path == text).or_else(|| {
             let name = text.strip_prefix("retargeted/")?;
             (!name.contains('/')).then_some(Self::Retargeted { name })
         })
@@ -261,7 +272,7 @@ impl fmt::Display for StageChannel<'_> {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Keypoints { camera } => write!(to, "camera/{camera}/keypoints"),
-            channel => to.write_str(channel.facts().0),
+            channel => to.write_str(channel.facts().path),
         }
     }
 }
@@ -270,7 +281,7 @@ impl fmt::Display for ActorChannel<'_> {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Retargeted { name } => write!(to, "retargeted/{name}"),
-            channel => to.write_str(channel.facts().0),
+            channel => to.write_str(channel.facts().path),
         }
     }
 }

@@ -37,8 +37,8 @@ impl Core {
         }
     }
 
-    /// Whether a rig from the bus differs from that of the node's file. Solvers and recordings use the last one on the
-    /// bus.
+    /// Whether a rig from the bus differs from that of the node's file. Recordings use the last one on the bus; so do
+    /// solvers until the front says which one it uses.
     pub(crate) fn is_other_rig(&self, rig: &[u8]) -> bool {
         self.has_rig_file() && !self.is_solver() && self.rig().is_some_and(|own| own != rig)
     }
@@ -68,10 +68,14 @@ impl Core {
     /// Takes a rig from the bus, unless a file gives the rig, or the front of a solver uses another one.
     pub(super) fn rig_from_bus(&mut self, bytes: &[u8]) {
         if !self.has_rig_file() {
-            let hash = wire::decode::<wire::Rig>(bytes).map_or(0, |rig| hash_of(&rig));
-            if !self.is_solver() || self.sharing.offer(hash, bytes) {
-                self.calibrate(bytes, "the bus");
+            if let (true, Ok(rig)) = (self.is_solver(), wire::decode::<wire::Rig>(bytes)) {
+                let hash = hash_of(&rig);
+                self.sharing.keep_rig(hash, bytes);
+                if !self.sharing.may_use(hash) {
+                    return;
+                }
             }
+            self.calibrate(bytes, "the bus");
             return;
         }
         // A run may begin with a rig that is known.
@@ -85,10 +89,21 @@ impl Core {
         self.event(EventKind::RigRefused, None, detail);
     }
 
-    /// A solver uses the calibration of the front, if that has come.
+    /// The front uses the calibration with that hash, and so does a solver without a file of its own.
     pub(super) fn use_rig_of_front(&mut self, hash: u64) {
-        if let Some(bytes) = self.sharing.rig_of_front(hash) {
-            self.calibrate(&bytes, "the front");
+        if self.has_rig_file() || self.sharing.front_rig == hash {
+            return;
+        }
+        self.sharing.front_rig = hash;
+        match self.sharing.rig_of_front().map(<[u8]>::to_vec) {
+            Some(bytes) => {
+                self.calibrate(&bytes, "the front");
+            }
+            None => {
+                let detail =
+                    "the calibration of the front has not come; the last one on the bus is used";
+                self.event(EventKind::Unusable, None, detail.to_owned());
+            }
         }
     }
 
@@ -129,6 +144,9 @@ impl Core {
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
         let (bytes, hash) = (bytes.to_vec(), hash_of(&message));
+        if self.is_solver() {
+            self.sharing.keep_rig(hash, &bytes);
+        }
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes, hash });
         match self.stage {
             // With several performers it holds for the next frame.

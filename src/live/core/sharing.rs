@@ -37,8 +37,8 @@ const SILENT: Nanos = Nanos::SECOND;
 const NO_FRAMES: Nanos = Nanos::SECOND;
 /// A state that is older than the known one by up to this is not used. By more, the cameras' clock went back.
 const MOST_LATE: Nanos = Nanos::from_ms(60_000);
-/// Most calibrations from the bus that are kept.
-const MOST_RIGS: usize = 8;
+/// Most calibrations that a solver keeps.
+const MOST_RIGS_KEPT: usize = 8;
 /// The motion goes on if the frames begin at most this long after its end.
 const HOLE: Nanos = Nanos::from_ms(100);
 
@@ -89,8 +89,8 @@ pub(super) struct Sharing {
     /// By camera, the newest capture time.
     newest: BTreeMap<usize, Timestamp>,
     /// Hash of the front's calibration; 0: not known.
-    rig: u64,
-    /// The last calibrations on the bus, with their hashes.
+    pub(super) front_rig: u64,
+    /// The last calibrations that came, with their hashes.
     rigs: VecDeque<(u64, Vec<u8>)>,
 }
 
@@ -112,22 +112,26 @@ impl Sharing {
         ours.map(|(number, _)| *number).collect()
     }
 
-    /// Keeps a calibration from the bus. Returns whether it may be the front's.
-    pub(super) fn offer(&mut self, hash: u64, bytes: &[u8]) -> bool {
-        self.rigs.retain(|(other, _)| *other != hash);
+    /// Keeps a calibration. If there are many, removes the oldest one that is not the front's.
+    pub(super) fn keep_rig(&mut self, hash: u64, bytes: &[u8]) {
+        self.rigs.retain(|(kept, _)| *kept != hash);
         self.rigs.push_back((hash, bytes.to_vec()));
-        if self.rigs.len() > MOST_RIGS {
-            self.rigs.pop_front();
+        let oldest = self.rigs.iter().position(|(kept, _)| *kept != self.front_rig);
+        if let Some(oldest) = oldest.filter(|_| self.rigs.len() > MOST_RIGS_KEPT) {
+            self.rigs.remove(oldest);
         }
-        self.rig == 0 || self.rig == hash
     }
 
-    /// The calibration with that hash, if the front uses it from now on and it has come.
-    pub(super) fn rig_of_front(&mut self, hash: u64) -> Option<Vec<u8>> {
-        if std::mem::replace(&mut self.rig, hash) == hash {
-            return None;
-        }
-        self.rigs.iter().find(|(other, _)| *other == hash).map(|(_, bytes)| bytes.clone())
+    /// The front's calibration, if it has come; if the front does not say which one it uses, the last one.
+    pub(super) fn rig_of_front(&self) -> Option<&[u8]> {
+        let is_used = |kept: u64| self.front_rig == 0 || kept == self.front_rig;
+        self.rigs.iter().rfind(|(kept, _)| is_used(*kept)).map(|(_, bytes)| bytes.as_slice())
+    }
+
+    /// Whether a calibration may be used: it is the front's, or the front's is not known or has not come.
+    pub(super) fn may_use(&self, hash: u64) -> bool {
+        let has_come = self.rigs.iter().any(|(kept, _)| *kept == self.front_rig);
+        hash == self.front_rig || !has_come
     }
 
     /// Forgets the frames: the cameras are others from here on.
@@ -202,8 +206,8 @@ impl Core {
     /// A solver got the frames of a performer.
     pub(super) fn keypoint_set(&mut self, actor: &str, payload: &[u8]) {
         let message = wire::decode::<KeypointSet>(payload);
-        if let Ok(KeypointSet { rig_hash: hash @ 1.., .. }) = message {
-            self.use_rig_of_front(hash);
+        if let Ok(message) = &message {
+            self.use_rig_of_front(message.rig_hash);
         }
         let Some(calibration) = &self.calibration else {
             let detail = "keypoints before a calibration; give it to the front".to_owned();

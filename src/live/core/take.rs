@@ -60,7 +60,7 @@ impl Core {
             // A solver that came during the take has none to stop.
             "stop" if self.is_solver() && self.running.is_empty() => return,
             "start" | "stop" => {}
-            "reset" | "label" | "lock" | "unlock" if self.is_solver() => {
+            "reset" | "label" | "lock" | "unlock" | "join" if self.is_solver() => {
                 let _ = self.follow(&take);
                 return;
             }

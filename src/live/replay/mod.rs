@@ -176,7 +176,7 @@ enum End {
 }
 
 impl Entries {
-    /// Of all parts, by number; the first one is there.
+    /// Joins the parts, up to the first gap. `parts` are by number and begin with 0.
     fn of(id: u64, parts: BTreeMap<u64, Journal>) -> Self {
         let count = parts.len() as u64;
         let whole =
@@ -202,8 +202,8 @@ impl Entries {
     }
 }
 
-/// The journal of a run, and the ids of later ones within the same take: of the run that was asked for by its id
-/// or the name of its take, or of the only one that is there from its beginning. Of a take, it is the first run.
+/// The journal of a run, and the ids of later runs within the same take. `asked` is the run's id, or the name of its take
+/// (then it is the first run). Without it, the recording must have only one run from its beginning.
 fn journal(
     messages: &[Recorded],
     topics: &Topics,

@@ -11,7 +11,7 @@ const NEAR_M: f64 = 1.0;
 /// Why nobody at a place becomes a performer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FollowError {
-    /// Nobody is there. Of those who are no performers, the places, metres, in words.
+    /// Nobody is there. The text lists the places (x, z, metres) of people who are not performers.
     #[error("nobody is seen within {NEAR_M} m of this place; seen are: {0}")]
     Nobody(String),
     /// The person there is a performer.
