@@ -16,7 +16,7 @@ use crate::core::tracker::Solver;
 use crate::io::recording::{METADATA, Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
 use crate::live::{
-    Carried, Gap, Recorded, ReplayError, Replayed, Settings, find_node, platform, replay,
+    Carried, Gap, Recorded, ReplayError, Replayed, Settings, find_nodes, platform, replay,
 };
 
 /// Run the node again on its recorded inputs and compare the outputs.
@@ -25,8 +25,9 @@ use crate::live::{
 The recording must contain all inputs since the start of a run: since `bundlemocap take start`, or since
 the start of the node. The run's journal contains its settings, what was known of body, latency and
 clocks, and the order and times of its inputs. If an input is missing, the replay stops there, says so
-and ends with code 6. It also ends with code 6 if the node was started again during the take. The same
-version gives the same bytes on every x86-64 processor. The recording is kept in memory.
+and ends with code 6. It also ends with code 6 if the node was started again during the take. If there
+are several nodes, such as a front and its solvers, each is replayed. The same version gives the same
+bytes on every x86-64 processor. The recording is kept in memory.
 
 Exit code 14: the outputs differ from the recorded ones.
 
@@ -51,10 +52,10 @@ pub(super) struct Arguments {
     /// Run to replay, if the recording has several: the name of a take, or the id of a run.
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
-    /// Stage of the node, if the recording has several.
+    /// Stage of the node, if the recording has several. Default: all.
     #[arg(long, value_name = "NAME")]
     stage: Option<String>,
-    /// Performer of the node, if the recording has several.
+    /// Name of the node, if the recording has several: its performer, the front's or a solver's. Default: all.
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
 }
@@ -63,7 +64,7 @@ impl From<ReplayError> for Failure {
     fn from(error: ReplayError) -> Self {
         let exit = match error {
             ReplayError::NoJournal { .. } => Exit::NotOurs,
-            ReplayError::Several { .. } | ReplayError::SeveralRuns { .. } => Exit::Usage,
+            ReplayError::SeveralRuns { .. } => Exit::Usage,
             _ => Exit::Malformed,
         };
         Self::new(exit, error.to_string())
@@ -79,20 +80,49 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let of_file = |failure: Failure| {
         Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
     };
-    let topics = find_node(&messages, arguments.stage.as_deref(), arguments.actor.as_deref())
+    let nodes = find_nodes(&messages, arguments.stage.as_deref(), arguments.actor.as_deref())
         .map_err(|error| of_file(error.into()))?;
+    let [first, more @ ..] = &nodes[..] else { return Ok(Exit::Done) };
+    if more.is_empty() {
+        return one(arguments, &messages, first, take.as_deref());
+    }
+    if arguments.out.is_some() {
+        let names: Vec<String> = nodes.iter().map(Topics::journal).collect();
+        let text = format!("--out is for one node; choose it with --actor: {}", names.join(", "));
+        return Err(of_file(Failure::new(Exit::Usage, text)));
+    }
+    let mut exit = Exit::Done;
+    for topics in &nodes {
+        say(&format!("{}:", topics.journal()));
+        match one(arguments, &messages, topics, take.as_deref()) {
+            Ok(Exit::Done) => {}
+            Ok(in_part) => exit = if exit == Exit::Done { in_part } else { exit },
+            Err(failure) => {
+                complain("error", &failure.line());
+                exit = failure.exit;
+            }
+        }
+    }
+    Ok(exit)
+}
+
+/// Replays one node, of a recording of a take if there is one.
+fn one(arguments: &Arguments, messages: &[Recorded], topics: &Topics, take: Option<&str>) -> Ended {
+    let of_file = |failure: Failure| {
+        Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
+    };
     let prepare = |start: &JournalStart| prepare(start, arguments.weights.as_deref());
-    let run = arguments.run.as_ref().or(take.as_ref()).map(String::as_str);
-    let replayed = replay(&messages, &topics, run, prepare).map_err(of_file)?;
+    let run = arguments.run.as_deref().or(take);
+    let replayed = replay(messages, topics, run, prepare).map_err(of_file)?;
     if let Some(path) = &arguments.out {
-        write(path, &messages, &replayed)?;
+        write(path, messages, &replayed)?;
     }
     say(&summary(&replayed, arguments.verify));
     let others = replayed.others.join(", ");
     let own = format!("{:016x}", replayed.start.run_id);
     let is_part = arguments.run != Some(own) && !others.is_empty();
     let exit = match arguments.verify {
-        true => verdict(arguments, &messages, &replayed, &topics.pose(), is_part)?,
+        true => verdict(arguments, messages, &replayed, &topics.pose(), is_part)?,
         false => Exit::Done,
     };
     if is_part {

@@ -152,7 +152,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let is_one = !config.stage.several();
     let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
-    let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
+    let until = seconds.map(|seconds| Instant::now() + seconds);
+    let Some(bus) = join(&config, &stop, until)? else { return Ok(Exit::Done) };
     let begin = None;
     let mut ready =
         Ready { arguments, config, decoder, body, stop, seconds, begin, bus, solver_core };
@@ -162,6 +163,29 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             // The network was cut while this node stood by.
             Some(elder) if arguments.standby => tracing::warn!("{elder}"),
             Some(elder) => return Err(elder.into()),
+        }
+    }
+}
+
+/// Opens the bus. A client waits for its router: a solver may start before its front. `None` if stopped before.
+fn join(
+    config: &Config,
+    stop: &Stop,
+    until: Option<Instant>,
+) -> Result<Option<Arc<dyn bus::Bus>>, Failure> {
+    let mut is_said = false;
+    loop {
+        match bus::open_node(&config.bus) {
+            Ok(bus) => return Ok(Some(Arc::from(bus))),
+            Err(_) if stop.is_set() => return Ok(None),
+            Err(BusError::NobodyAnswers { endpoints })
+                if until.is_none_or(|until| Instant::now() < until) =>
+            {
+                if !std::mem::replace(&mut is_said, true) {
+                    tracing::warn!("nothing answers at {endpoints} yet; waiting");
+                }
+            }
+            Err(error) => return Err(error.into()),
         }
     }
 }

@@ -27,7 +27,7 @@ pub(crate) use observe::advice::{USED_AGAIN, advice, is_expected, is_fine};
 pub use observe::process::Usage;
 pub use observe::{log, metrics};
 pub use replay::compare::{Comparison, Recorded};
-pub use replay::{Gap, ReplayError, Replayed, find_node, replay};
+pub use replay::{Gap, ReplayError, Replayed, find_nodes, replay};
 pub use threads::cpu_affinity::SolverCore;
 pub use threads::playout::{Deviations, Schedule};
 pub use threads::presence::Presence;

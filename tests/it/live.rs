@@ -18,7 +18,7 @@ use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
 use bundlemocap::live::{
-    Core, Input, Loss, Output, Recorded, Replayed, Settings, find_node, replay,
+    Core, Input, Loss, Output, Recorded, Replayed, Settings, find_nodes, replay,
 };
 use bundlemocap::research::synth::{
     Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
@@ -513,16 +513,17 @@ fn a_replay_finds_the_node_in_the_recording() {
         payload: Vec::new(),
     };
     let one = [journal("hall", "anna")];
-    let topics = find_node(&one, None, None).unwrap();
-    assert_eq!(topics, Topics::new("hall", "anna").unwrap());
-    assert_eq!(find_node(&one, Some("hall"), Some("anna")).unwrap(), topics);
-    let error = find_node(&one, Some("stage"), None).unwrap_err().to_string();
+    let topics = find_nodes(&one, None, None).unwrap();
+    assert_eq!(topics, [Topics::new("hall", "anna").unwrap()]);
+    assert_eq!(find_nodes(&one, Some("hall"), Some("anna")).unwrap(), topics);
+    let error = find_nodes(&one, Some("stage"), None).unwrap_err().to_string();
     assert!(error.contains("\"stage\"") && error.contains("mocap/hall/actor/anna"), "{error}");
     let two = [journal("hall", "anna"), journal("hall", "ben")];
-    let error = find_node(&two, Some("hall"), None).unwrap_err().to_string();
-    assert!(error.contains("--actor") && error.contains("actor/ben/journal"), "{error}");
-    assert_eq!(find_node(&two, None, Some("ben")).unwrap().actor, "ben");
-    assert!(find_node(&[], None, None).unwrap_err().to_string().contains("bundlemocap record"));
+    let names =
+        |found: Vec<Topics>| found.into_iter().map(|topics| topics.actor).collect::<Vec<_>>();
+    assert_eq!(names(find_nodes(&two, Some("hall"), None).unwrap()), ["anna", "ben"]);
+    assert_eq!(names(find_nodes(&two, None, Some("ben")).unwrap()), ["ben"]);
+    assert!(find_nodes(&[], None, None).unwrap_err().to_string().contains("bundlemocap record"));
 }
 
 #[test]

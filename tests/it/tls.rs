@@ -1,5 +1,6 @@
 //! Certificates and access control, with the files of `config/`.
 
+use std::net::TcpListener;
 use std::path::Path;
 use std::process::Command;
 use std::sync::mpsc::{Receiver, channel};
@@ -47,22 +48,51 @@ fn only_allowed_certificates_publish() {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/config/studio-secure");
     let secure = Config::load(format!("{file}.toml").as_ref()).unwrap().bus.zenoh;
     let node = Zenoh::open_node(&ZenohConfig {
-        listen: vec!["tls/127.0.0.1:0".into()],
+        listen: vec!["quic/127.0.0.1:0".into()],
         config: format!("{file}.json5"),
         tls: tls(&ours, "node"),
         ..secure
     });
     let node = node.unwrap();
     let connect = node.listens_on();
-    assert!(connect[0].starts_with("tls/"), "{connect:?}");
+    assert!(connect[0].starts_with("quic/"), "{connect:?}");
     let client = |tls: TlsConfig| {
         Zenoh::open_client(&ZenohConfig { connect: connect.clone(), tls, ..Default::default() })
     };
 
-    let nobody = TlsConfig { root_ca: tls(&ours, "node").root_ca, ..TlsConfig::default() };
-    assert!(client(nobody).is_err(), "a session without a certificate");
-    let stranger = TlsConfig { root_ca: tls(&ours, "node").root_ca, ..tls(&theirs, "cam01") };
-    assert!(client(stranger).is_err(), "a certificate of another authority");
+    let root_ca = || tls(&ours, "node").root_ca;
+    let nobody = TlsConfig { root_ca: root_ca(), ..TlsConfig::default() };
+    let stranger = TlsConfig { root_ca: root_ca(), ..tls(&theirs, "cam01") };
+    let trusts_others = TlsConfig { root_ca: tls(&theirs, "cam01").root_ca, ..tls(&ours, "cam01") };
+    let no_key = TlsConfig { key: String::new(), ..tls(&ours, "cam01") };
+    let absent = tls(&ours, "cam07");
+    let swapped = TlsConfig { key: tls(&ours, "cam02").key, ..tls(&ours, "cam01") };
+    for (wrong, why) in [
+        (nobody, "it wants a certificate"),
+        (stranger, "it does not accept [bus.zenoh.tls] certificate"),
+        (trusts_others, "of an authority that [bus.zenoh.tls] root_ca does not name"),
+        (no_key, "zenoh.tls.key = \"\": certificate and key are given together"),
+        (absent, "cam07.pem"),
+        (swapped, "keys"),
+    ] {
+        let error = client(wrong).err().unwrap().to_string();
+        assert!(error.contains(why), "{why}: {error}");
+    }
+    let node_on = |address: &str| {
+        let (listen, tls) = (vec![address.into()], tls(&ours, "node"));
+        Zenoh::open_node(&ZenohConfig { listen, tls, ..ZenohConfig::default() }).unwrap()
+    };
+    let (elsewhere, silent) =
+        (node_on("quic/127.0.0.2:0"), TcpListener::bind("127.0.0.1:0").unwrap());
+    for (address, why) in [
+        (format!("tcp/{}", silent.local_addr().unwrap()), "is no node"),
+        (elsewhere.listens_on()[0].clone(), "does not hold for the name 127.0.0.2"),
+    ] {
+        let tls = tls(&ours, "cam01");
+        let config = ZenohConfig { connect: vec![address], tls, ..ZenohConfig::default() };
+        let error = Zenoh::open_client(&config).err().unwrap().to_string();
+        assert!(error.contains(why), "{why}: {error}");
+    }
 
     let [camera, other, operator, viewer] =
         ["cam01", "cam02", "operator", "viewer"].map(|name| client(tls(&ours, name)).unwrap());

@@ -89,7 +89,7 @@ struct Ending {
 pub(crate) enum Said {
     /// To the one who records.
     Warning(String),
-    /// To the one who gave the command of that id; `Err`: it was refused.
+    /// To the one who gave the command of that id; `Err`: it was refused. Of id 0: to everybody.
     Answer(u64, Result<String, String>),
 }
 
@@ -106,6 +106,8 @@ pub(crate) struct Recorder {
     folder: PathBuf,
     all: Option<Open>,
     take: Option<Running>,
+    /// The take that ended because the disk was full, until the next one.
+    cut: Option<String>,
     /// The running take, or the last one: its name, and the name of its file without the ending.
     last: Option<(String, String)>,
     ending: Vec<Ending>,
@@ -149,6 +151,7 @@ impl Recorder {
             provenance,
             folder: folder.to_owned(),
             take: None,
+            cut: None,
             last: None,
             ending: Vec::new(),
             skipped: 0,
@@ -240,7 +243,10 @@ impl Recorder {
             }
             ("stop", _) => {
                 self.stop(Some(take.id), now);
-                Ok(Vec::new())
+                match self.cut.take_if(|cut| !is_other(cut)) {
+                    Some(cut) => refuse(format!("take {cut} had ended before: the disk was full")),
+                    None => Ok(Vec::new()),
+                }
             }
             ("note", _) => {
                 let noted = self.note(take, now).map_err(|error| error.to_string());
@@ -293,6 +299,11 @@ impl Recorder {
 
     fn begin(&mut self, take: &Take, now: Timestamp) -> Result<Vec<Said>, RecordError> {
         self.stop(None, now);
+        self.cut = None;
+        let free = match self.room.free() {
+            Ok(free) => free,
+            Err(why) => return Ok(vec![Said::Answer(take.id, Err(why))]),
+        };
         let path = self.free_path(&take.name);
         let mut provenance = self.provenance.clone();
         provenance.more.insert("take".into(), take.name.clone());
@@ -308,7 +319,6 @@ impl Recorder {
         for entry in rig.iter().chain(self.recent.iter().filter(|entry| entry.log_time >= begin)) {
             file.write(entry)?;
         }
-        let free = self.room.free();
         let free = free.map_or(String::new(), |free| format!(", {:.1} GB free", free as f64 / 1e9));
         let text = format!("recording to {}{free}", file.path.display());
         self.last = Some((take.name.clone(), stem));
@@ -364,8 +374,8 @@ impl Recorder {
     }
 
     /// Work that is done once a second: flushes the files, and reports silent streams, skipped
-    /// topics and little `room` on the disk, bytes. The second value is false if there is too little
-    /// to go on.
+    /// topics and little `room` on the disk, bytes. If there is too little, the take ends; the second
+    /// value is false if everything is recorded, which ends too.
     pub(crate) fn second(
         &mut self,
         now: Timestamp,
@@ -392,7 +402,18 @@ impl Recorder {
         said.extend(self.silence.report(now).map(Said::Warning));
         let (warning, goes_on) = self.room.report(room);
         said.extend(warning.map(Said::Warning));
-        Ok((said, goes_on))
+        if goes_on || self.all.is_some() {
+            return Ok((said, goes_on));
+        }
+        // Commands are still answered, and there may be room again.
+        if let Some(Running { name, file }) = self.take.take() {
+            let text = format!("take {name} ends before its time: the disk is full");
+            said.push(Said::Answer(0, Err(text)));
+            self.ending.push(Ending { file, until: now, command: None });
+            self.failed += 1;
+            self.cut = Some(name);
+        }
+        Ok((said, true))
     }
 
     /// Counts of the file of everything, or else of the take.
@@ -596,6 +617,42 @@ mod tests {
         };
         assert!(lost.contains("b.mcap is not complete") && whole.contains("b_2.mcap"), "{said:?}");
         assert_eq!(recorder.finish().unwrap().0.failed, 2);
+    }
+
+    #[test]
+    fn a_full_disk_ends_the_take_and_the_next_one_is_recorded_when_there_is_room() {
+        let (_folder, mut recorder) = recorder();
+        let refusals = |said: &[Said]| -> Vec<(u64, String)> {
+            let refusal = |said: &Said| match said {
+                Said::Answer(id, Err(why)) => Some((*id, why.clone())),
+                _ => None,
+            };
+            said.iter().filter_map(refusal).collect()
+        };
+        recorder.slate(&slate("start", "walk"), at(0.0)).unwrap();
+        recorder.write(entry(&Topics::default().pose(), 0.0)).unwrap();
+        assert!(recorder.second(at(1.0), Some(5 << 30)).unwrap().1);
+        let (said, goes_on) = recorder.second(at(2.0), Some(60 << 20)).unwrap();
+        assert!(goes_on, "for commands");
+        let told = "take walk ends before its time: the disk is full".to_owned();
+        assert_eq!(refusals(&said), [(0, told)]);
+        let said = recorder.tick(at(2.0)).unwrap();
+        assert!(
+            matches!(&said[..], [Said::Warning(text)] if text.contains("1 messages")),
+            "{said:?}"
+        );
+        for (action, why) in [
+            ("stop", "take walk had ended before: the disk was full"),
+            ("start", "only 60 MB are free on the disk"),
+        ] {
+            let said = recorder.slate(&slate(action, "walk"), at(3.0)).unwrap();
+            let [(3, text)] = &refusals(&said)[..] else { panic!("{said:?}") };
+            assert!(text.starts_with(why), "{text}");
+        }
+        recorder.second(at(4.0), Some(5 << 30)).unwrap();
+        let said = recorder.slate(&slate("start", "run"), at(5.0)).unwrap();
+        assert!(matches!(&said[..], [Said::Answer(3, Ok(_))]), "{said:?}");
+        assert_eq!(recorder.finish().unwrap().0.failed, 1);
     }
 
     #[test]

@@ -13,6 +13,7 @@ const WARN_ROOM: u64 = 256 << 20;
 pub(super) struct Room {
     bytes: u64,
     is_said: bool,
+    is_full: bool,
     free: Option<u64>,
 }
 
@@ -21,9 +22,14 @@ impl Room {
         self.bytes += bytes as u64;
     }
 
-    /// Bytes that were free at the last report, if known.
-    pub(super) const fn free(&self) -> Option<u64> {
-        self.free
+    /// Bytes that were free at the last report, if known. An error: too few to begin.
+    pub(super) fn free(&self) -> Result<Option<u64>, String> {
+        match self.free {
+            Some(free) if self.is_full => {
+                Err(format!("only {} MB are free on the disk; free some space", free >> 20))
+            }
+            free => Ok(free),
+        }
     }
 
     /// Once a second, with the `room` on the disk, bytes: a warning if it is little, and whether there
@@ -34,8 +40,10 @@ impl Room {
         let Some(room) = room else { return (None, true) };
         let left = room.saturating_sub(LEAST_ROOM);
         let megabytes = room >> 20;
+        let was_full = std::mem::replace(&mut self.is_full, left == 0);
         if left == 0 {
-            return (Some(format!("{megabytes} MB are free on the disk, recording stops")), false);
+            let text = || format!("{megabytes} MB are free on the disk, recording stops");
+            return ((!was_full).then(text), false);
         }
         let is_little = left < WARN_ROOM.max(rate * WARN_SECONDS);
         let is_new = is_little && !self.is_said;
@@ -75,6 +83,7 @@ mod tests {
         assert_eq!(said(1000, 5000), (false, true));
         assert_eq!(said(10 << 20, 5000), (true, true), "not for ten minutes");
         assert_eq!(said(1000, 60), (true, false), "full");
+        assert_eq!(said(1000, 60), (false, false), "said before");
         assert_eq!(room.report(None), (None, true));
     }
 }

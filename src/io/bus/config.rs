@@ -66,7 +66,7 @@ pub struct ZenohConfig {
     /// A configuration file of zenoh for the node, for what these settings cannot say, such as access
     /// control. These settings come before it. Empty: none.
     pub config: String,
-    /// Certificates, for addresses that begin with `tls/`.
+    /// Certificates, for addresses that begin with `quic/`.
     pub tls: TlsConfig,
     /// What others see this program called. Empty: the name of its file.
     #[serde(skip)]

@@ -22,6 +22,8 @@ use serde::Serialize;
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
 
+#[cfg(feature = "zenoh")]
+mod certificates;
 mod commands;
 mod config;
 #[cfg(feature = "iceoryx2")]
@@ -218,13 +220,19 @@ pub enum BusError {
     /// No address answers.
     #[error(
         "nothing answers at {endpoints}; is `bundlemocap run` up? [bus.zenoh] connect says where \
-         it is{}", if *tls { ", [bus.zenoh.tls] which certificates are trusted: those of both ends must fit" } else { "" }
+         it is"
     )]
     NobodyAnswers {
         /// The addresses that were tried, separated by commas.
         endpoints: String,
-        /// Whether one of them is encrypted.
-        tls: bool,
+    },
+    /// Something listens at an address, but does not accept the connection.
+    #[error("cannot connect to {endpoint}: {reason}")]
+    Refused {
+        /// The address.
+        endpoint: String,
+        /// Why, and what to do.
+        reason: String,
     },
     /// A setting that the transport refuses.
     #[error("[bus] {key} = {value}: {reason}")]

@@ -31,6 +31,7 @@ use zenoh_ext::{
     HistoryConfig, MissDetectionConfig, RecoveryConfig,
 };
 
+use super::certificates::Certificates;
 use super::receivers::Announcer;
 use super::zenoh_settings::{check_endpoints, settings, why_not_open, without_places};
 use super::{
@@ -102,7 +103,8 @@ impl Zenoh {
 
     /// The addresses on which this session listens, with their actual ports.
     pub fn listens_on(&self) -> Vec<String> {
-        self.session.info().locators().wait().iter().map(ToString::to_string).collect()
+        let locators = self.session.info().locators().wait();
+        locators.iter().map(|at| format!("{}/{}", at.protocol(), at.address())).collect()
     }
 }
 
@@ -129,12 +131,15 @@ fn open(
                 .into(),
         });
     }
+    let certificates = Certificates::read(&config.tls)?;
     match zenoh::open(settings(config, mode, listen, connect, scouting)?).wait() {
         Ok(session) => {
             let announcer = Announcer::new(&config.name);
             Ok(Zenoh { session, announcer, is_client: mode == "client" })
         }
-        Err(error) => Err(why_not_open(mode, listen, connect, &without_places(&error))),
+        Err(error) => {
+            Err(why_not_open(mode, listen, connect, &certificates, &without_places(&error)))
+        }
     }
 }
 

@@ -1,9 +1,10 @@
 //! Settings of a zenoh session, and why one cannot be opened.
 
-use std::net::{TcpListener, ToSocketAddrs};
+use std::net::{TcpListener, ToSocketAddrs, UdpSocket};
 
 use zenoh::config::EndPoint;
 
+use super::certificates::Certificates;
 use super::{BusError, TlsConfig, ZenohConfig};
 
 /// Time in which a client tries to connect, milliseconds.
@@ -19,8 +20,9 @@ const TOOL_WAITS_US: u64 = 20_000;
 /// Larger messages are dropped while they are received, bytes: twice the largest that is used.
 const MOST_BYTES: usize = 2 << 20;
 
-/// Protocols of addresses that are built in.
-const PROTOCOLS: [&str; 2] = ["tcp/", "tls/"];
+/// Protocols of addresses that are built in. Not zenoh's tls/: it reads and writes one connection from two threads,
+/// and breaks when the keys change, after 2^24 records of some hours.
+const PROTOCOLS: [&str; 2] = ["tcp/", "quic/"];
 
 pub(super) fn check_endpoints(key: &'static str, endpoints: &[String]) -> Result<(), BusError> {
     for endpoint in endpoints {
@@ -45,7 +47,9 @@ pub(super) fn settings(
     connect: &[String],
     scouting: bool,
 ) -> Result<zenoh::Config, BusError> {
-    let list = |endpoints: &[String]| format!("{endpoints:?}");
+    let list = |endpoints: &[String]| {
+        format!("{:?}", endpoints.iter().map(|one| in_order(one)).collect::<Vec<_>>())
+    };
     let queue = "transport/link/tx/queue";
     let wait = if mode == "client" { TOOL_WAITS_US } else { NODE_WAITS_US };
     let mut settings = vec![
@@ -99,10 +103,17 @@ pub(super) fn settings(
     Ok(zenoh)
 }
 
+/// The address with one stream for all messages. On several, a message may overtake the declaration of its topic.
+fn in_order(endpoint: &str) -> String {
+    let is_plain = endpoint.starts_with("quic/") && !endpoint.contains(['?', '#']);
+    format!("{endpoint}{}", if is_plain { "?multistream=0" } else { "" })
+}
+
 pub(super) fn why_not_open(
     mode: &str,
     listen: &[String],
     connect: &[String],
+    certificates: &Certificates,
     error: &str,
 ) -> BusError {
     if let Some(endpoint) = listen.iter().find(|endpoint| is_in_use(endpoint)) {
@@ -111,18 +122,26 @@ pub(super) fn why_not_open(
     if mode != "client" {
         return BusError::transport("cannot open the network", error);
     }
+    for endpoint in connect {
+        if let Some(reason) = certificates.refusal(endpoint) {
+            return BusError::Refused { endpoint: endpoint.clone(), reason };
+        }
+    }
     let endpoints =
         if connect.is_empty() { "any multicast address".into() } else { connect.join(", ") };
-    let tls = connect.iter().any(|endpoint| endpoint.starts_with("tls/"));
-    BusError::NobodyAnswers { endpoints, tls }
+    BusError::NobodyAnswers { endpoints }
 }
 
 /// Whether an address of this host is in use.
 fn is_in_use(endpoint: &str) -> bool {
-    let Some((_, address)) = endpoint.split_once('/') else { return false };
+    let Some((protocol, address)) = endpoint.split_once('/') else { return false };
     let Ok(mut addresses) = address.to_socket_addrs() else { return false };
     addresses.any(|address| {
-        TcpListener::bind(address).is_err_and(|error| error.kind() == std::io::ErrorKind::AddrInUse)
+        let bound = match protocol {
+            "tcp" => TcpListener::bind(address).map(drop),
+            _ => UdpSocket::bind(address).map(drop),
+        };
+        bound.is_err_and(|error| error.kind() == std::io::ErrorKind::AddrInUse)
     })
 }
 

@@ -56,7 +56,9 @@ pub fn start() -> Result<LogGuard, NodeError> {
 
 fn filter(asked: &str) -> Result<EnvFilter, ParseError> {
     let asked = if asked.trim().is_empty() { "info" } else { asked };
-    EnvFilter::try_new(format!("zenoh=warn,iceoryx2=warn,foxglove=warn,{asked}"))
+    EnvFilter::try_new(format!(
+        "zenoh=warn,zenoh::net::runtime::orchestrator=error,iceoryx2=warn,foxglove=warn,{asked}"
+    ))
 }
 
 impl Drop for LogGuard {

@@ -36,12 +36,6 @@ pub enum ReplayError {
         /// The journals in the recording, as text; empty if there are none.
         found: String,
     },
-    /// Journals of several nodes.
-    #[error("there are journals of several nodes; choose one with --stage and --actor: {found}")]
-    Several {
-        /// Their topics, separated by commas.
-        found: String,
-    },
     /// The journal's beginning is missing.
     #[error(
         "the journal begins with number {first}: recording began later than the run; use \
@@ -117,40 +111,34 @@ impl Replayed {
     }
 }
 
-/// Finds the node whose journal is in a recording.
+/// Finds the nodes whose journals are in a recording: those of a stage and an actor, if given.
 ///
 /// # Errors
-/// There is no journal of the given stage and actor, or there are several.
-pub fn find_node(
+/// There is none.
+pub fn find_nodes(
     messages: &[Recorded],
     stage: Option<&str>,
     actor: Option<&str>,
-) -> Result<Topics, ReplayError> {
+) -> Result<Vec<Topics>, ReplayError> {
     let nodes = messages.iter().filter(|message| *message.schema == *Journal::FULL_NAME);
     let nodes = nodes.filter_map(|message| Topic::parse(&message.topic).ok()?.topics());
     let nodes: BTreeMap<String, Topics> = nodes.map(|topics| (topics.journal(), topics)).collect();
-    let list = |nodes: &[&Topics]| {
-        nodes.iter().map(|topics| topics.journal()).collect::<Vec<_>>().join(", ")
-    };
     let is_asked_for = |topics: &&Topics| {
         stage.is_none_or(|stage| stage == topics.stage)
             && actor.is_none_or(|actor| actor == topics.actor)
     };
-    match *nodes.values().filter(is_asked_for).collect::<Vec<_>>() {
-        [one] => Ok(one.clone()),
-        [] => {
-            let asked = [("stage", stage), ("actor", actor)].into_iter();
-            let asked = asked.filter_map(|(what, name)| Some(format!(" of {what} {:?}", name?)));
-            let found = match nodes.is_empty() {
-                true => String::new(),
-                false => {
-                    format!(", or choose one of {}", list(&nodes.values().collect::<Vec<_>>()))
-                }
-            };
-            Err(ReplayError::NoJournal { asked: asked.collect(), found })
-        }
-        ref several => Err(ReplayError::Several { found: list(several) }),
+    let found: Vec<Topics> = nodes.values().filter(is_asked_for).cloned().collect();
+    if found.is_empty() {
+        let asked = [("stage", stage), ("actor", actor)].into_iter();
+        let asked = asked.filter_map(|(what, name)| Some(format!(" of {what} {:?}", name?)));
+        let all: Vec<String> = nodes.into_keys().collect();
+        let found = match all.is_empty() {
+            true => String::new(),
+            false => format!(", or choose one of {}", all.join(", ")),
+        };
+        return Err(ReplayError::NoJournal { asked: asked.collect(), found });
     }
+    Ok(found)
 }
 
 /// The journal of one run, as far as it has no gap.

@@ -123,12 +123,12 @@ export function takes(store, source, lookOf, floorAt) {
     const clock = take?.seconds === undefined ? "no frames" : `${String(Math.floor(seconds / 60)).padStart(2, "0")}:${String(seconds % 60).padStart(2, "0")}`;
     set($("record"), take ? `● ${take.name} ${clock} Stop` : "Record");
     $("take-name").disabled = take !== undefined;
-    answers.push(...store.answers.splice(0).filter(({ id }) => sent?.ids.includes(id)));
+    answers.push(...store.answers.splice(0).filter(({ id = 0n }) => id === 0n || sent?.ids.includes(id)));
     const isRecorder = ({ program }) => program.startsWith("bundlemocap record");
     // One that records cameras alone, or another program, tells of its disk.
     const isRecorded = store.freeSpace !== undefined || (source.receivers?.some(isRecorder) ?? true);
     $("answers").classList.toggle("bad", take !== undefined && !isRecorded);
-    const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
+    const lines = answers.map(({ id, role, text = "", refused }) => `${role}${refused && id ? " refuses" : ""}: ${text}`);
     if (take && !isRecorded) lines.unshift("no recorder is known: start `bundlemocap record takes/`");
     const wanted = ANSWERERS[sent?.action] ?? ["node"];
     const isOver = sent && performance.now() - sent.at > PATIENCE;

@@ -1,0 +1,171 @@
+//! Certificates of a network, and why an encrypted connection is refused.
+
+use std::net::{Ipv6Addr, SocketAddr, TcpStream, ToSocketAddrs as _};
+use std::sync::Arc;
+use std::time::Duration;
+
+use quinn::crypto::rustls::QuicClientConfig;
+use quinn::{ConnectionError, TransportErrorCode};
+use rustls::pki_types::pem::PemObject as _;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::{AlertDescription, ClientConfig, RootCertStore};
+use tokio::time::timeout;
+
+use super::{BusError, TlsConfig};
+
+/// Longest wait for the other end.
+const WITHIN: Duration = Duration::from_secs(1);
+/// The name of zenoh's protocol on an encrypted connection.
+const PROTOCOL: &[u8] = b"zenoh";
+/// The first of the error codes that are alerts of TLS.
+const ALERTS: u64 = 0x100;
+
+/// The content of the files.
+pub(super) struct Certificates {
+    roots: RootCertStore,
+    own: Option<(Vec<CertificateDer<'static>>, PrivateKeyDer<'static>)>,
+}
+
+impl Certificates {
+    pub(super) fn read(tls: &TlsConfig) -> Result<Self, BusError> {
+        let TlsConfig { root_ca, certificate, key, client_certificates: _ } = tls;
+        let mut roots = RootCertStore::empty();
+        if !root_ca.is_empty() {
+            roots.add_parsable_certificates(chain("zenoh.tls.root_ca", root_ca)?);
+        }
+        let own = match (certificate.is_empty(), key.is_empty()) {
+            (true, true) => None,
+            (false, false) => {
+                let chain = chain("zenoh.tls.certificate", certificate)?;
+                let private = PrivateKeyDer::from_pem_file(key);
+                Some((chain, private.map_err(|error| unreadable("zenoh.tls.key", key, &error))?))
+            }
+            (is_missing, _) => {
+                let key = if is_missing { "zenoh.tls.certificate" } else { "zenoh.tls.key" };
+                let reason = "certificate and key are given together".into();
+                return Err(BusError::Setting { key, value: "\"\"".into(), reason });
+            }
+        };
+        Ok(Self { roots, own })
+    }
+
+    /// Why an address refuses a connection with these certificates, if something listens there. It is found by a
+    /// handshake: zenoh only says that it cannot connect.
+    pub(super) fn refusal(&self, endpoint: &str) -> Option<String> {
+        let (protocol, address) = endpoint.split(['?', '#']).next()?.split_once('/')?;
+        let addresses: Vec<SocketAddr> = address.to_socket_addrs().ok()?.collect();
+        if protocol == "tcp" {
+            let listens = addresses.iter().any(|at| TcpStream::connect_timeout(at, WITHIN).is_ok());
+            return listens.then(|| "what listens there hangs, or is no node".into());
+        }
+        let (host, _) = address.rsplit_once(':')?;
+        let host = host.trim_matches(['[', ']']);
+        let config = match self.client() {
+            Ok(config) => config,
+            Err(error) => return Some(format!("[bus.zenoh.tls]: {error}")),
+        };
+        // The caller may be in a runtime of its own.
+        let find = || {
+            let runtime =
+                tokio::runtime::Builder::new_current_thread().enable_all().build().ok()?;
+            runtime.block_on(async {
+                for at in addresses {
+                    if let Some(error) = greet(&config, at, host).await {
+                        return meaning(&error, host);
+                    }
+                }
+                None
+            })
+        };
+        std::thread::scope(|scope| scope.spawn(find).join()).unwrap_or_default()
+    }
+
+    fn client(&self) -> Result<quinn::ClientConfig, rustls::Error> {
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let builder = ClientConfig::builder_with_provider(provider);
+        let builder = builder.with_protocol_versions(&[&rustls::version::TLS13])?;
+        let builder = builder.with_root_certificates(self.roots.clone());
+        let mut config = match &self.own {
+            Some((chain, key)) => builder.with_client_auth_cert(chain.clone(), key.clone_key())?,
+            None => builder.with_no_client_auth(),
+        };
+        config.alpn_protocols = vec![PROTOCOL.into()];
+        let config = QuicClientConfig::try_from(config)
+            .map_err(|error| rustls::Error::General(error.to_string()))?;
+        Ok(quinn::ClientConfig::new(Arc::new(config)))
+    }
+}
+
+/// Connects; returns why it failed, or why the other end has closed the connection afterwards.
+async fn greet(
+    config: &quinn::ClientConfig,
+    at: SocketAddr,
+    host: &str,
+) -> Option<ConnectionError> {
+    let from: SocketAddr = match at {
+        SocketAddr::V4(_) => ([0; 4], 0).into(),
+        SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+    };
+    let endpoint = quinn::Endpoint::client(from).ok()?;
+    let connecting = endpoint.connect_with(config.clone(), at, host).ok()?;
+    let error = match timeout(WITHIN, connecting).await.ok()? {
+        // It judges our certificate after that.
+        Ok(connection) => timeout(WITHIN, connection.closed()).await.ok(),
+        Err(error) => Some(error),
+    };
+    // zenoh waits for the end of each connection before it accepts the next one.
+    endpoint.close(0_u32.into(), &[]);
+    endpoint.wait_idle().await;
+    error
+}
+
+fn chain(key: &'static str, file: &str) -> Result<Vec<CertificateDer<'static>>, BusError> {
+    let all = CertificateDer::pem_file_iter(file).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    match all {
+        Ok(all) if all.is_empty() => Err(unreadable(key, file, &"no certificate is in the file")),
+        all => all.map_err(|error| unreadable(key, file, &error)),
+    }
+}
+
+fn unreadable(key: &'static str, file: &str, why: &dyn std::fmt::Display) -> BusError {
+    BusError::Setting { key, value: format!("{file:?}"), reason: why.to_string() }
+}
+
+/// What is to be mended, of an error while connecting to a host.
+fn meaning(error: &ConnectionError, host: &str) -> Option<String> {
+    use AlertDescription::{
+        BadCertificate, CertificateExpired, CertificateRequired, DecryptError, UnknownCA,
+    };
+    let alert = |code: TransportErrorCode| {
+        let alert = u64::from(code).checked_sub(ALERTS).and_then(|code| u8::try_from(code).ok());
+        alert.map(AlertDescription::from)
+    };
+    match error {
+        ConnectionError::TransportError(ours) => Some(match alert(ours.code) {
+            // Two authorities may have one name.
+            Some(UnknownCA | DecryptError) => "its certificate is of an authority that \
+                                               [bus.zenoh.tls] root_ca does not name"
+                .into(),
+            Some(BadCertificate) => format!(
+                "its certificate does not hold for the name {host}: connect to a name that it \
+                 holds for, or make another one"
+            ),
+            Some(CertificateExpired) => "its certificate has expired, or a clock is wrong".into(),
+            _ => ours.to_string(),
+        }),
+        ConnectionError::ConnectionClosed(theirs) => match alert(theirs.error_code)? {
+            CertificateRequired => Some(
+                "it wants a certificate: give one with [bus.zenoh.tls] certificate and key".into(),
+            ),
+            UnknownCA | BadCertificate | DecryptError => Some(
+                "it does not accept [bus.zenoh.tls] certificate, which is of another authority"
+                    .into(),
+            ),
+            CertificateExpired => {
+                Some("[bus.zenoh.tls] certificate has expired, or a clock is wrong".into())
+            }
+            _ => Some(theirs.to_string()),
+        },
+        _ => None,
+    }
+}
