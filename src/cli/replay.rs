@@ -52,10 +52,10 @@ pub(super) struct Arguments {
     /// Run to replay, if the recording has several: the name of a take, or the id of a run.
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
-    /// Stage of the node, if the recording has several. Default: all.
+    /// Only the nodes of this stage.
     #[arg(long, value_name = "NAME")]
     stage: Option<String>,
-    /// Name of the node, if the recording has several: its performer, the front's or a solver's. Default: all.
+    /// Only the node of this name: a performer, a front or a solver.
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
 }
@@ -82,25 +82,35 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     };
     let nodes = find_nodes(&messages, arguments.stage.as_deref(), arguments.actor.as_deref())
         .map_err(|error| of_file(error.into()))?;
-    let [first, more @ ..] = &nodes[..] else { return Ok(Exit::Done) };
-    if more.is_empty() {
-        return one(arguments, &messages, first, take.as_deref());
+    if let [only] = &nodes[..] {
+        return one(arguments, &messages, only, take.as_deref());
     }
     if arguments.out.is_some() {
         let names: Vec<String> = nodes.iter().map(Topics::journal).collect();
         let text = format!("--out is for one node; choose it with --actor: {}", names.join(", "));
         return Err(of_file(Failure::new(Exit::Usage, text)));
     }
-    let mut exit = Exit::Done;
+    let (mut exit, mut absent) = (Exit::Done, 0);
     for topics in &nodes {
         say(&format!("{}:", topics.journal()));
-        match one(arguments, &messages, topics, take.as_deref()) {
-            Ok(Exit::Done) => {}
-            Ok(in_part) => exit = if exit == Exit::Done { in_part } else { exit },
+        let ended = match one(arguments, &messages, topics, take.as_deref()) {
+            Ok(exit) => exit,
+            // The run is another node's.
+            Err(failure) if failure.exit == Exit::Usage && arguments.run.is_some() => {
+                absent += 1;
+                if absent == nodes.len() {
+                    return Err(failure);
+                }
+                say("no such run");
+                continue;
+            }
             Err(failure) => {
                 complain("error", &failure.line());
-                exit = failure.exit;
+                failure.exit
             }
+        };
+        if exit == Exit::Done || ended == Exit::Differs {
+            exit = ended;
         }
     }
     Ok(exit)

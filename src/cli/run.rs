@@ -167,6 +167,16 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
 }
 
+/// Whether the router may come: certificates stay wrong.
+fn is_absent(error: &BusError) -> bool {
+    match error {
+        BusError::NobodyAnswers { .. } => true,
+        // It may have begun to listen just now.
+        BusError::Refused { endpoint, .. } => endpoint.starts_with("tcp/"),
+        _ => false,
+    }
+}
+
 /// Opens the bus. A client waits for its router: a solver may start before its front. `None` if stopped before.
 fn join(
     config: &Config,
@@ -178,15 +188,14 @@ fn join(
         match bus::open_node(&config.bus) {
             Ok(bus) => return Ok(Some(Arc::from(bus))),
             Err(_) if stop.is_set() => return Ok(None),
-            Err(BusError::NobodyAnswers { endpoints })
-                if until.is_none_or(|until| Instant::now() < until) =>
-            {
+            Err(error) if is_absent(&error) && until.is_none_or(|until| Instant::now() < until) => {
                 if !std::mem::replace(&mut is_said, true) {
-                    tracing::warn!("nothing answers at {endpoints} yet; waiting");
+                    tracing::warn!("waiting: {error}");
                 }
             }
             Err(error) => return Err(error.into()),
         }
+        std::thread::sleep(LOOK);
     }
 }
 

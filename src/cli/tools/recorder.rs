@@ -299,11 +299,11 @@ impl Recorder {
 
     fn begin(&mut self, take: &Take, now: Timestamp) -> Result<Vec<Said>, RecordError> {
         self.stop(None, now);
-        self.cut = None;
         let free = match self.room.free() {
             Ok(free) => free,
             Err(why) => return Ok(vec![Said::Answer(take.id, Err(why))]),
         };
+        self.cut = None;
         let path = self.free_path(&take.name);
         let mut provenance = self.provenance.clone();
         provenance.more.insert("take".into(), take.name.clone());
@@ -407,9 +407,15 @@ impl Recorder {
         }
         // Commands are still answered, and there may be room again.
         if let Some(Running { name, file }) = self.take.take() {
-            let text = format!("take {name} ends before its time: the disk is full");
+            let what = match file.finish() {
+                Ok((path, recorded)) => {
+                    self.skipped += recorded.skipped;
+                    format!("{}: {} messages", path.display(), recorded.messages)
+                }
+                Err(error) => error.to_string(),
+            };
+            let text = format!("take {name} ends before its time, the disk is full; {what}");
             said.push(Said::Answer(0, Err(text)));
-            self.ending.push(Ending { file, until: now, command: None });
             self.failed += 1;
             self.cut = Some(name);
         }
@@ -621,7 +627,7 @@ mod tests {
 
     #[test]
     fn a_full_disk_ends_the_take_and_the_next_one_is_recorded_when_there_is_room() {
-        let (_folder, mut recorder) = recorder();
+        let (folder, mut recorder) = recorder();
         let refusals = |said: &[Said]| -> Vec<(u64, String)> {
             let refusal = |said: &Said| match said {
                 Said::Answer(id, Err(why)) => Some((*id, why.clone())),
@@ -634,16 +640,13 @@ mod tests {
         assert!(recorder.second(at(1.0), Some(5 << 30)).unwrap().1);
         let (said, goes_on) = recorder.second(at(2.0), Some(60 << 20)).unwrap();
         assert!(goes_on, "for commands");
-        let told = "take walk ends before its time: the disk is full".to_owned();
-        assert_eq!(refusals(&said), [(0, told)]);
-        let said = recorder.tick(at(2.0)).unwrap();
-        assert!(
-            matches!(&said[..], [Said::Warning(text)] if text.contains("1 messages")),
-            "{said:?}"
-        );
+        let [(0, told)] = &refusals(&said)[..] else { panic!("{said:?}") };
+        assert!(told.contains("the disk is full") && told.ends_with("1 messages"), "{told}");
+        let mut reader = Reader::open(folder.path().join("walk.mcap")).unwrap();
+        assert_eq!(std::iter::from_fn(|| reader.next_raw()).count(), 1);
         for (action, why) in [
-            ("stop", "take walk had ended before: the disk was full"),
             ("start", "only 60 MB are free on the disk"),
+            ("stop", "take walk had ended before: the disk was full"),
         ] {
             let said = recorder.slate(&slate(action, "walk"), at(3.0)).unwrap();
             let [(3, text)] = &refusals(&said)[..] else { panic!("{said:?}") };

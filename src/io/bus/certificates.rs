@@ -28,7 +28,7 @@ pub(super) struct Certificates {
 
 impl Certificates {
     pub(super) fn read(tls: &TlsConfig) -> Result<Self, BusError> {
-        let TlsConfig { root_ca, certificate, key, client_certificates: _ } = tls;
+        let TlsConfig { root_ca, certificate, key, client_certificates } = tls;
         let mut roots = RootCertStore::empty();
         if !root_ca.is_empty() {
             roots.add_parsable_certificates(chain("zenoh.tls.root_ca", root_ca)?);
@@ -46,20 +46,25 @@ impl Certificates {
                 return Err(BusError::Setting { key, value: "\"\"".into(), reason });
             }
         };
-        Ok(Self { roots, own })
+        // As zenoh does.
+        let is_sent = *client_certificates && !root_ca.is_empty();
+        Ok(Self { roots, own: own.filter(|_| is_sent) })
     }
 
     /// Why an address refuses a connection with these certificates, if something listens there. It is found by a
     /// handshake: zenoh only says that it cannot connect.
     pub(super) fn refusal(&self, endpoint: &str) -> Option<String> {
         let (protocol, address) = endpoint.split(['?', '#']).next()?.split_once('/')?;
-        let addresses: Vec<SocketAddr> = address.to_socket_addrs().ok()?.collect();
+        let addresses: Vec<SocketAddr> = match address.to_socket_addrs() {
+            Ok(addresses) => addresses.collect(),
+            Err(error) => return Some(error.to_string()),
+        };
         if protocol == "tcp" {
             let listens = addresses.iter().any(|at| TcpStream::connect_timeout(at, WITHIN).is_ok());
-            return listens.then(|| "what listens there hangs, or is no node".into());
+            return listens
+                .then(|| "what listens there hangs, is of another version, or is no node".into());
         }
         let (host, _) = address.rsplit_once(':')?;
-        let host = host.trim_matches(['[', ']']);
         let config = match self.client() {
             Ok(config) => config,
             Err(error) => return Some(format!("[bus.zenoh.tls]: {error}")),
@@ -69,12 +74,9 @@ impl Certificates {
             let runtime =
                 tokio::runtime::Builder::new_current_thread().enable_all().build().ok()?;
             runtime.block_on(async {
-                for at in addresses {
-                    if let Some(error) = greet(&config, at, host).await {
-                        return meaning(&error, host);
-                    }
-                }
-                None
+                // As zenoh does, that one alone.
+                let first = addresses.into_iter().next()?;
+                greet(&config, first, host).await
             })
         };
         std::thread::scope(|scope| scope.spawn(find).join()).unwrap_or_default()
@@ -97,26 +99,26 @@ impl Certificates {
 }
 
 /// Connects; returns why it failed, or why the other end has closed the connection afterwards.
-async fn greet(
-    config: &quinn::ClientConfig,
-    at: SocketAddr,
-    host: &str,
-) -> Option<ConnectionError> {
+async fn greet(config: &quinn::ClientConfig, at: SocketAddr, host: &str) -> Option<String> {
     let from: SocketAddr = match at {
         SocketAddr::V4(_) => ([0; 4], 0).into(),
         SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
     };
     let endpoint = quinn::Endpoint::client(from).ok()?;
-    let connecting = endpoint.connect_with(config.clone(), at, host).ok()?;
-    let error = match timeout(WITHIN, connecting).await.ok()? {
+    let connecting = match endpoint.connect_with(config.clone(), at, host) {
+        Ok(connecting) => connecting,
+        Err(error) => return Some(format!("{error}; write the name of the host")),
+    };
+    let error = match timeout(WITHIN, connecting).await {
         // It judges our certificate after that.
-        Ok(connection) => timeout(WITHIN, connection.closed()).await.ok(),
-        Err(error) => Some(error),
+        Ok(Ok(connection)) => timeout(WITHIN, connection.closed()).await.ok(),
+        Ok(Err(error)) => Some(error),
+        Err(_) => None,
     };
     // zenoh waits for the end of each connection before it accepts the next one.
     endpoint.close(0_u32.into(), &[]);
-    endpoint.wait_idle().await;
-    error
+    let _ = timeout(WITHIN, endpoint.wait_idle()).await;
+    meaning(&error?, host)
 }
 
 fn chain(key: &'static str, file: &str) -> Result<Vec<CertificateDer<'static>>, BusError> {

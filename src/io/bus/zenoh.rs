@@ -35,8 +35,8 @@ use super::certificates::Certificates;
 use super::receivers::Announcer;
 use super::zenoh_settings::{check_endpoints, settings, why_not_open, without_places};
 use super::{
-    Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, Watch, ZenohConfig,
-    ZenohMode, check_pattern, check_topic, delivery,
+    Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, TlsConfig, Watch,
+    ZenohConfig, ZenohMode, check_pattern, check_topic, delivery,
 };
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
@@ -91,7 +91,7 @@ impl Zenoh {
     /// found.
     ///
     /// # Errors
-    /// No answer within about two seconds, or an invalid address.
+    /// No answer within some seconds, or an invalid address.
     pub fn open_client(config: &ZenohConfig) -> Result<Self, BusError> {
         let connect: Vec<String> = match (config.connect.is_empty(), config.scouting) {
             (true, true) => Vec::new(),
@@ -131,7 +131,11 @@ fn open(
                 .into(),
         });
     }
-    let certificates = Certificates::read(&config.tls)?;
+    let is_encrypted = listen.iter().chain(connect).any(|one| one.starts_with("quic/"));
+    let certificates = match is_encrypted {
+        true => Certificates::read(&config.tls)?,
+        false => Certificates::read(&TlsConfig::default())?,
+    };
     match zenoh::open(settings(config, mode, listen, connect, scouting)?).wait() {
         Ok(session) => {
             let announcer = Announcer::new(&config.name);

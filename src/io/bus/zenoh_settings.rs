@@ -105,8 +105,12 @@ pub(super) fn settings(
 
 /// The address with one stream for all messages. On several, a message may overtake the declaration of its topic.
 fn in_order(endpoint: &str) -> String {
-    let is_plain = endpoint.starts_with("quic/") && !endpoint.contains(['?', '#']);
-    format!("{endpoint}{}", if is_plain { "?multistream=0" } else { "" })
+    if !endpoint.starts_with("quic/") || endpoint.contains("multistream=") {
+        return endpoint.to_owned();
+    }
+    let (address, options) = endpoint.split_at(endpoint.find('#').unwrap_or(endpoint.len()));
+    let sign = if address.contains('?') { ';' } else { '?' };
+    format!("{address}{sign}multistream=0{options}")
 }
 
 pub(super) fn why_not_open(
@@ -134,7 +138,8 @@ pub(super) fn why_not_open(
 
 /// Whether an address of this host is in use.
 fn is_in_use(endpoint: &str) -> bool {
-    let Some((protocol, address)) = endpoint.split_once('/') else { return false };
+    let address = endpoint.split(['?', '#']).next().unwrap_or_default();
+    let Some((protocol, address)) = address.split_once('/') else { return false };
     let Ok(mut addresses) = address.to_socket_addrs() else { return false };
     addresses.any(|address| {
         let bound = match protocol {
@@ -169,6 +174,19 @@ pub(super) fn without_places(error: &dyn std::fmt::Display) -> String {
 mod tests {
     use super::super::Zenoh;
     use super::*;
+
+    #[test]
+    fn an_encrypted_address_has_one_stream() {
+        for (given, used) in [
+            ("quic/a:1", "quic/a:1?multistream=0"),
+            ("quic/a:1#iface=eth0", "quic/a:1?multistream=0#iface=eth0"),
+            ("quic/a:1?prio=6-7#x=y", "quic/a:1?prio=6-7;multistream=0#x=y"),
+            ("quic/a:1?multistream=1", "quic/a:1?multistream=1"),
+            ("tcp/a:1", "tcp/a:1"),
+        ] {
+            assert_eq!(in_order(given), used);
+        }
+    }
 
     #[test]
     fn errors_show_no_paths_of_sources() {

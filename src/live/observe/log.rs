@@ -56,9 +56,12 @@ pub fn start() -> Result<LogGuard, NodeError> {
 
 fn filter(asked: &str) -> Result<EnvFilter, ParseError> {
     let asked = if asked.trim().is_empty() { "info" } else { asked };
-    EnvFilter::try_new(format!(
-        "zenoh=warn,zenoh::net::runtime::orchestrator=error,iceoryx2=warn,foxglove=warn,{asked}"
-    ))
+    // Each attempt to connect is a warning of zenoh, with the place in its sources.
+    let attempts = match asked.contains("zenoh") {
+        true => "",
+        false => "zenoh::net::runtime::orchestrator=error,",
+    };
+    EnvFilter::try_new(format!("zenoh=warn,{attempts}iceoryx2=warn,foxglove=warn,{asked}"))
 }
 
 impl Drop for LogGuard {

@@ -18,6 +18,8 @@ const ANSWERERS = { start: ["node", "recorder"], stop: ["node", "recorder"], not
  */
 export function takes(store, source, lookOf, floorAt) {
   let [sent, answers] = [undefined, []];
+  // What a recorder says of a take that it has ended.
+  let cut;
   const commands = (...all) => {
     if (!source.connected) {
       [sent, answers] = [undefined, [{ role: "not sent", text: "no connection" }]];
@@ -123,13 +125,17 @@ export function takes(store, source, lookOf, floorAt) {
     const clock = take?.seconds === undefined ? "no frames" : `${String(Math.floor(seconds / 60)).padStart(2, "0")}:${String(seconds % 60).padStart(2, "0")}`;
     set($("record"), take ? `● ${take.name} ${clock} Stop` : "Record");
     $("take-name").disabled = take !== undefined;
-    answers.push(...store.answers.splice(0).filter(({ id = 0n }) => id === 0n || sent?.ids.includes(id)));
+    const told = store.answers.splice(0);
+    answers.push(...told.filter(({ id }) => sent?.ids.includes(id)));
+    cut = take && (told.findLast(({ id = 0n }) => id === 0n)?.text ?? cut);
+    const isCut = cut?.startsWith(`take ${take.name} ends`) ?? false;
     const isRecorder = ({ program }) => program.startsWith("bundlemocap record");
     // One that records cameras alone, or another program, tells of its disk.
     const isRecorded = store.freeSpace !== undefined || (source.receivers?.some(isRecorder) ?? true);
-    $("answers").classList.toggle("bad", take !== undefined && !isRecorded);
-    const lines = answers.map(({ id, role, text = "", refused }) => `${role}${refused && id ? " refuses" : ""}: ${text}`);
+    $("answers").classList.toggle("bad", take !== undefined && (isCut || !isRecorded));
+    const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
     if (take && !isRecorded) lines.unshift("no recorder is known: start `bundlemocap record takes/`");
+    if (isCut) lines.unshift(cut);
     const wanted = ANSWERERS[sent?.action] ?? ["node"];
     const isOver = sent && performance.now() - sent.at > PATIENCE;
     for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {
