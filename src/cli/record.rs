@@ -39,9 +39,9 @@ const QUERY: Duration = Duration::from_millis(300);
 #[command(after_help = "\
 Payloads are kept byte for byte. The log time of a message is its arrival time here, the publish time
 is its capture time. Until Ctrl-C or SIGTERM the recording is at FILE.part; if this program dies, that
-file is readable up to its last second. Recording stops before the disk is full; a recorder of takes
-ends the take, and `take start` works again when there is room. Every ten seconds the recorder
-publishes the free space of its disk. These messages are not recorded.
+file is readable up to its last second. Recording stops before the disk is full. A recorder of
+takes goes on: it ends the take, and begins others when there is room again. Every ten seconds the
+recorder publishes the free space of its disk. These messages are not recorded.
 
 `bundlemocap take start NAME` begins NAME.mcap beside FILE, with a journal of its own, and `take stop`
 ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. A take that runs already is recorded from

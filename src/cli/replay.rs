@@ -60,6 +60,13 @@ pub(super) struct Arguments {
     actor: Option<String>,
 }
 
+impl Arguments {
+    /// The failure with the name of the file.
+    fn of_file(&self, failure: Failure) -> Failure {
+        Failure::new(failure.exit, format!("{}: {}", self.file.display(), failure.line()))
+    }
+}
+
 impl From<ReplayError> for Failure {
     fn from(error: ReplayError) -> Self {
         let exit = match error {
@@ -77,18 +84,15 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         check_ending(out, "mcap")?;
     }
     let (messages, take) = read(&arguments.file)?;
-    let of_file = |failure: Failure| {
-        Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
-    };
     let nodes = find_nodes(&messages, arguments.stage.as_deref(), arguments.actor.as_deref())
-        .map_err(|error| of_file(error.into()))?;
+        .map_err(|error| arguments.of_file(error.into()))?;
     if let [only] = &nodes[..] {
         return one(arguments, &messages, only, take.as_deref());
     }
     if arguments.out.is_some() {
         let names: Vec<String> = nodes.iter().map(Topics::journal).collect();
         let text = format!("--out is for one node; choose it with --actor: {}", names.join(", "));
-        return Err(of_file(Failure::new(Exit::Usage, text)));
+        return Err(arguments.of_file(Failure::new(Exit::Usage, text)));
     }
     let (mut exit, mut absent) = (Exit::Done, 0);
     for topics in &nodes {
@@ -118,12 +122,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 
 /// Replays one node, of a recording of a take if there is one.
 fn one(arguments: &Arguments, messages: &[Recorded], topics: &Topics, take: Option<&str>) -> Ended {
-    let of_file = |failure: Failure| {
-        Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
-    };
     let prepare = |start: &JournalStart| prepare(start, arguments.weights.as_deref());
     let run = arguments.run.as_deref().or(take);
-    let replayed = replay(messages, topics, run, prepare).map_err(of_file)?;
+    let replayed =
+        replay(messages, topics, run, prepare).map_err(|failure| arguments.of_file(failure))?;
     if let Some(path) = &arguments.out {
         write(path, messages, &replayed)?;
     }

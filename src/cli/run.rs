@@ -167,7 +167,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
 }
 
-/// Whether the router may come: certificates stay wrong.
+/// Whether the router may still come. Certificates that are wrong stay so.
 fn is_absent(error: &BusError) -> bool {
     match error {
         BusError::NobodyAnswers { .. } => true,

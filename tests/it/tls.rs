@@ -70,7 +70,7 @@ fn only_allowed_certificates_publish() {
     for (wrong, why) in [
         (nobody, "it wants a certificate"),
         (stranger, "it does not accept [bus.zenoh.tls] certificate"),
-        (trusts_others, "of an authority that [bus.zenoh.tls] root_ca does not name"),
+        (trusts_others, "is not signed by the authority in [bus.zenoh.tls] root_ca"),
         (no_key, "zenoh.tls.key = \"\": certificate and key are given together"),
         (absent, "cam07.pem"),
         (swapped, "keys"),

@@ -244,7 +244,7 @@ impl Recorder {
             ("stop", _) => {
                 self.stop(Some(take.id), now);
                 match self.cut.take_if(|cut| !is_other(cut)) {
-                    Some(cut) => refuse(format!("take {cut} had ended before: the disk was full")),
+                    Some(cut) => refuse(format!("take {cut} has already ended: the disk was full")),
                     None => Ok(Vec::new()),
                 }
             }
@@ -646,7 +646,7 @@ mod tests {
         assert_eq!(std::iter::from_fn(|| reader.next_raw()).count(), 1);
         for (action, why) in [
             ("start", "only 60 MB are free on the disk"),
-            ("stop", "take walk had ended before: the disk was full"),
+            ("stop", "take walk has already ended: the disk was full"),
         ] {
             let said = recorder.slate(&slate(action, "walk"), at(3.0)).unwrap();
             let [(3, text)] = &refusals(&said)[..] else { panic!("{said:?}") };

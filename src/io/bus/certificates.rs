@@ -51,37 +51,6 @@ impl Certificates {
         Ok(Self { roots, own: own.filter(|_| is_sent) })
     }
 
-    /// Why an address refuses a connection with these certificates, if something listens there. It is found by a
-    /// handshake: zenoh only says that it cannot connect.
-    pub(super) fn refusal(&self, endpoint: &str) -> Option<String> {
-        let (protocol, address) = endpoint.split(['?', '#']).next()?.split_once('/')?;
-        let addresses: Vec<SocketAddr> = match address.to_socket_addrs() {
-            Ok(addresses) => addresses.collect(),
-            Err(error) => return Some(error.to_string()),
-        };
-        if protocol == "tcp" {
-            let listens = addresses.iter().any(|at| TcpStream::connect_timeout(at, WITHIN).is_ok());
-            return listens
-                .then(|| "what listens there hangs, is of another version, or is no node".into());
-        }
-        let (host, _) = address.rsplit_once(':')?;
-        let config = match self.client() {
-            Ok(config) => config,
-            Err(error) => return Some(format!("[bus.zenoh.tls]: {error}")),
-        };
-        // The caller may be in a runtime of its own.
-        let find = || {
-            let runtime =
-                tokio::runtime::Builder::new_current_thread().enable_all().build().ok()?;
-            runtime.block_on(async {
-                // As zenoh does, that one alone.
-                let first = addresses.into_iter().next()?;
-                greet(&config, first, host).await
-            })
-        };
-        std::thread::scope(|scope| scope.spawn(find).join()).unwrap_or_default()
-    }
-
     fn client(&self) -> Result<quinn::ClientConfig, rustls::Error> {
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let builder = ClientConfig::builder_with_provider(provider);
@@ -96,6 +65,34 @@ impl Certificates {
             .map_err(|error| rustls::Error::General(error.to_string()))?;
         Ok(quinn::ClientConfig::new(Arc::new(config)))
     }
+}
+
+/// Why an address refuses a connection, if something listens there. It is found by a connection of our own: zenoh only
+/// says that it cannot connect.
+pub(super) fn refusal(endpoint: &str, certificates: Option<&Certificates>) -> Option<String> {
+    let (protocol, address) = endpoint.split(['?', '#']).next()?.split_once('/')?;
+    let mut addresses = match address.to_socket_addrs() {
+        Ok(addresses) => addresses,
+        Err(error) => return Some(error.to_string()),
+    };
+    if protocol == "tcp" {
+        let listens = addresses.any(|at| TcpStream::connect_timeout(&at, WITHIN).is_ok());
+        let what = "a program is there, but it hangs, has another version, or is no node";
+        return listens.then(|| what.into());
+    }
+    let (host, _) = address.rsplit_once(':')?;
+    let config = match certificates?.client() {
+        Ok(config) => config,
+        Err(error) => return Some(format!("[bus.zenoh.tls]: {error}")),
+    };
+    // zenoh tries no other one either.
+    let first = addresses.next()?;
+    // The caller may be in a runtime of its own.
+    let find = || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().ok()?;
+        runtime.block_on(greet(&config, first, host))
+    };
+    std::thread::scope(|scope| scope.spawn(find).join()).unwrap_or_default()
 }
 
 /// Connects; returns why it failed, or why the other end has closed the connection afterwards.
@@ -145,22 +142,22 @@ fn meaning(error: &ConnectionError, host: &str) -> Option<String> {
     match error {
         ConnectionError::TransportError(ours) => Some(match alert(ours.code) {
             // Two authorities may have one name.
-            Some(UnknownCA | DecryptError) => "its certificate is of an authority that \
-                                               [bus.zenoh.tls] root_ca does not name"
-                .into(),
+            Some(UnknownCA | DecryptError) => {
+                "its certificate is not signed by the authority in [bus.zenoh.tls] root_ca".into()
+            }
             Some(BadCertificate) => format!(
-                "its certificate does not hold for the name {host}: connect to a name that it \
-                 holds for, or make another one"
+                "its certificate does not hold for the name {host}: connect by a name in the \
+                 certificate, or make a new one"
             ),
             Some(CertificateExpired) => "its certificate has expired, or a clock is wrong".into(),
             _ => ours.to_string(),
         }),
         ConnectionError::ConnectionClosed(theirs) => match alert(theirs.error_code)? {
-            CertificateRequired => Some(
-                "it wants a certificate: give one with [bus.zenoh.tls] certificate and key".into(),
-            ),
+            CertificateRequired => {
+                Some("it wants a certificate: set [bus.zenoh.tls] certificate and key".into())
+            }
             UnknownCA | BadCertificate | DecryptError => Some(
-                "it does not accept [bus.zenoh.tls] certificate, which is of another authority"
+                "it does not accept [bus.zenoh.tls] certificate: another authority signed it"
                     .into(),
             ),
             CertificateExpired => {

@@ -35,8 +35,8 @@ use super::certificates::Certificates;
 use super::receivers::Announcer;
 use super::zenoh_settings::{check_endpoints, settings, why_not_open, without_places};
 use super::{
-    Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, TlsConfig, Watch,
-    ZenohConfig, ZenohMode, check_pattern, check_topic, delivery,
+    Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, Watch, ZenohConfig,
+    ZenohMode, check_pattern, check_topic, delivery,
 };
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
@@ -132,17 +132,14 @@ fn open(
         });
     }
     let is_encrypted = listen.iter().chain(connect).any(|one| one.starts_with("quic/"));
-    let certificates = match is_encrypted {
-        true => Certificates::read(&config.tls)?,
-        false => Certificates::read(&TlsConfig::default())?,
-    };
+    let certificates = is_encrypted.then(|| Certificates::read(&config.tls)).transpose()?;
     match zenoh::open(settings(config, mode, listen, connect, scouting)?).wait() {
         Ok(session) => {
             let announcer = Announcer::new(&config.name);
             Ok(Zenoh { session, announcer, is_client: mode == "client" })
         }
         Err(error) => {
-            Err(why_not_open(mode, listen, connect, &certificates, &without_places(&error)))
+            Err(why_not_open(mode, listen, connect, certificates.as_ref(), &without_places(&error)))
         }
     }
 }
