@@ -300,8 +300,13 @@ fn progress(recorded: &Recorded, elapsed: Duration) -> String {
 }
 
 fn rows(path: &Path, recorded: &Recorded, elapsed: Duration) -> Vec<(String, String)> {
-    let topics = recorded.topics.iter();
-    let topics = topics.map(|(topic, count)| (topic.to_string(), format!("{count} messages")));
+    let topics = recorded.topics.iter().map(|(topic, count)| {
+        let missing = match recorded.numbers.missing(topic) {
+            0 => String::new(),
+            missing => format!(", {missing} frames did not come"),
+        };
+        (topic.to_string(), format!("{count} messages{missing}"))
+    });
     let file = (path.display().to_string(), progress(recorded, elapsed));
     topics.chain([file]).collect()
 }

@@ -8,12 +8,12 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
-use super::export::{Solved, file_start, first_pose, frame_from, path_of, read};
+use super::export::{Changes, Lost, Solved, cut, path_of, read, states_of, write_states};
 use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, check_ending, is_no_input, is_same_file};
 use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
-use super::span::Times;
+use super::span::{SpanArguments, Times};
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
 use crate::core::time::Timestamp;
@@ -29,7 +29,7 @@ const SAME_SCALE: f64 = 1.02;
 The skeleton is the hierarchy of a BVH file; its frames are not used. The joint names of Mixamo, CMU,
 MotionBuilder, Unity, Daz, Unreal, Biped and this program are known; a TOML file maps other names:
 
-  scale = 1.05                 of the movement; default: the ratio of the leg lengths
+  scale = 1.05                 of the movement over the floor; default: the ratio of the leg lengths
   unit = \"cm\"                  of the file: m, dm, cm, mm, inch, foot or metres; default: guessed
   up = \"z\"                     of the file's world, y or z; default: from the zero pose
   [joints]
@@ -39,12 +39,14 @@ Live poses are published on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C
 --out they are written meanwhile, to a hidden .part file that is then renamed. Several performers have
 a file each: take1.p1.bvh, take1.p2.bvh. --actor chooses one. All files begin at one time: the first
 frame of the recording, or live the first pose of anybody. Until a performer's first pose, the file
-repeats that pose. If the first pose comes more than ten minutes later, the file begins with it.
+repeats that pose. If the first pose comes more than ten minutes later, the file begins with it. With
+--from, --start, --end, --fps, --in-place and --lost are those of `export`.
 
 Examples:
   bundlemocap retarget --skeleton robot.bvh
   bundlemocap retarget --skeleton robot.bvh --map robot.toml --name robot --out take1.bvh
-  bundlemocap retarget --skeleton robot.bvh --from out/poses.mcap --out take1.bvh")]
+  bundlemocap retarget --skeleton robot.bvh --from out/poses.mcap --out take1.bvh
+  bundlemocap retarget --skeleton robot.bvh --from out/poses.mcap --out cut.bvh --start 240f --fps 30")]
 pub(super) struct Arguments {
     /// BVH file with the skeleton.
     #[arg(long, value_name = "BVH")]
@@ -63,6 +65,10 @@ pub(super) struct Arguments {
     /// Read a solved recording instead of the bus.
     #[arg(long, value_name = "MCAP", requires = "out")]
     from: Option<PathBuf>,
+    #[command(flatten)]
+    span: SpanArguments,
+    #[command(flatten)]
+    changes: Changes,
     #[command(flatten)]
     bus: BusArguments,
 }
@@ -85,6 +91,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         }
         arguments.map.iter().try_for_each(|map| is_no_input(map, out))?;
         check_ending(out, "bvh")?;
+    }
+    if arguments.from.is_none() && (arguments.span.is_given() || arguments.changes.is_given()) {
+        let message = "--start, --end, --fps, --in-place and --lost need a solved recording: --from poses.mcap";
+        return Err(Failure::new(Exit::Usage, message));
     }
     let mut retarget = character(&arguments.skeleton, arguments.map.as_deref())?;
     match (&arguments.from, &arguments.out) {
@@ -117,22 +127,26 @@ pub(super) fn summary(path: &Path, retarget: &Retarget) -> String {
 }
 
 fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Path) -> Ended {
-    let Solved { performers, damage } = read(from, false, arguments.bus.actor())?;
+    let Solved { mut performers, damage } = read(from, false, arguments.bus.actor())?;
     let several = performers.len() > 1;
-    let times = Times::of(from, None)?;
+    let (changes, mut times) = (&arguments.changes, Times::of(from, None)?);
+    let start = cut(&mut performers, &arguments.span, changes, &mut times)?;
+    let is_marked = changes.lost == Lost::Mark;
     for Motion { actor, .. } in &performers {
         let path = path_of(out, several.then_some(actor));
-        for path in times.sidecar(&path).into_iter().chain([path]) {
+        let states = is_marked.then(|| states_of(&path));
+        for path in times.sidecar(&path).into_iter().chain(states).chain([path]) {
             is_no_input(&arguments.skeleton, &path)?;
             arguments.overwrite.check_beside(from, &path)?;
         }
     }
-    let take = times.first;
-    let start =
-        first_pose(&performers).map_or(take, |pose| frame_from(pose, file_start(pose.0, take)));
     for one in &performers {
         let path = path_of(out, several.then_some(&one.actor));
         write(retarget, one, &path, start)?;
+        changes.note_lost(one).iter().for_each(|text| complain("note", text));
+        if is_marked {
+            write_states(&path, one, start)?;
+        }
         times.beside(&path, Some(start))?;
     }
     let scales = performers.iter().map(|one| retarget.scale(&one.skeleton));
@@ -164,11 +178,6 @@ fn write(
     }
     if let Some(written) = file.finish(retarget)? {
         tell(&written, retarget, skeleton, out);
-    }
-    let lost = poses.iter().filter(|pose| !pose.is_tracked()).count();
-    if lost > 0 {
-        let text = "poses are coasting or lost; `export --lost mark` lists them";
-        complain("note", &format!("{}: {lost} of {} {text}", out.display(), poses.len()));
     }
     Ok(())
 }

@@ -138,17 +138,17 @@ impl Times {
         }
     }
 
-    /// Writes the timecode of the first frame of a BVH file beside it, since BVH has no place for it.
-    pub(super) fn beside(&self, bvh: &Path, first: Option<Timestamp>) -> Result<(), Failure> {
-        match (self.sidecar(bvh), self.timecode_at(first)) {
+    /// Writes the timecode of the first frame of a file beside it, if its format has no place for it.
+    pub(super) fn beside(&self, file: &Path, first: Option<Timestamp>) -> Result<(), Failure> {
+        match (self.sidecar(file), self.timecode_at(first)) {
             (Some(path), Some(line)) => Ok(text(&path, &(line + "\n"))?),
             _ => Ok(()),
         }
     }
 
-    /// The file beside a BVH file that has its timecode, if there is one.
-    pub(super) fn sidecar(&self, bvh: &Path) -> Option<PathBuf> {
-        self.house.map(|_| bvh.with_extension("timecode.txt"))
+    /// The file beside another that has its timecode, if there is one.
+    pub(super) fn sidecar(&self, file: &Path) -> Option<PathBuf> {
+        self.house.map(|_| file.with_extension("timecode.txt"))
     }
 
     /// Timecode and rate of a frame, or else of the first one, if there is a timecode.

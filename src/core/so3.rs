@@ -160,6 +160,12 @@ pub fn about(axis: usize, angle: f64) -> Matrix3<f64> {
 /// nearest to `last`: of the two solutions, and with whole turns added. Where b is a quarter turn
 /// only the sum or difference of a and c is known: c is kept.
 pub fn angles(r: &Matrix3<f64>, axes: [usize; 3], last: [f64; 3]) -> [f64; 3] {
+    let [first, second] = both_angles(r, axes, last);
+    if apart(&first, &last) <= apart(&second, &last) { first } else { second }
+}
+
+/// The two solutions of [`angles`], each nearest to `last` by whole turns. The first one has b within a quarter turn.
+pub fn both_angles(r: &Matrix3<f64>, axes: [usize; 3], last: [f64; 3]) -> [[f64; 3]; 2] {
     use std::f64::consts::PI;
     let [i, j, k] = axes;
     let sign = if (i + 1) % 3 == j { 1.0 } else { -1.0 };
@@ -174,8 +180,7 @@ pub fn angles(r: &Matrix3<f64>, axes: [usize; 3], last: [f64; 3]) -> [f64; 3] {
         [a, b, atan2(-sign * r[(i, j)], r[(i, i)])]
     };
     let second = [first[0] + PI, PI - first[1], first[2] + PI];
-    let [first, second] = [first, second].map(|angles| nearest_turns(angles, last));
-    if apart(&first, &last) <= apart(&second, &last) { first } else { second }
+    [first, second].map(|angles| nearest_turns(angles, last))
 }
 
 /// Adds whole turns to each angle so that it lies within half a turn of `last`.

@@ -33,6 +33,8 @@ struct Fitted {
     /// The alignments A_t.
     align: Vec<Matrix3<f64>>,
     scale: f64,
+    /// Length of the target's legs over ours: the scale of heights.
+    legs: f64,
     /// Height of the ankles above the balls of the feet, metres: ours, the target's.
     ankles: [f64; 2],
 }
@@ -94,7 +96,7 @@ impl Retarget {
         &self.mapping
     }
 
-    /// Scale of the movement, target over ours.
+    /// Scale of the movement over the floor, target over ours.
     pub fn scale(&self, skeleton: &Skeleton) -> f64 {
         self.scale.unwrap_or(self.leg / leg_length(skeleton))
     }
@@ -127,8 +129,9 @@ impl Retarget {
         let align = alignments(&self.target, &self.mapping, skeleton)?;
         let scale = self.scale(skeleton);
         let ours = -0.5 * (skeleton.offset(Joint::LFoot).y + skeleton.offset(Joint::RFoot).y);
-        let theirs = self.ankle_height(&align).unwrap_or(scale * ours);
-        Ok(Fitted { skeleton: skeleton.clone(), align, scale, ankles: [ours, theirs] })
+        let legs = self.leg / leg_length(skeleton);
+        let theirs = self.ankle_height(&align).unwrap_or(legs * ours);
+        Ok(Fitted { skeleton: skeleton.clone(), align, scale, legs, ankles: [ours, theirs] })
     }
 
     /// Mean height of the target's ankles above its toes, metres.
@@ -185,11 +188,12 @@ impl Retarget {
     fn hips_position(&self, fitted: &Fitted, posture: &Posture, figure: &Figure) -> Vector3<f64> {
         let mut hips = Vector3::zeros();
         for joint in [Joint::LHip, Joint::RHip] {
-            let wanted = posture.positions[joint.index()] * fitted.scale;
+            let mut wanted = posture.positions[joint.index()] * fitted.scale;
+            wanted.y *= fitted.legs / fitted.scale;
             let own = self.mapping.joint(joint).map(|index| figure.positions[index]);
             hips += 0.5 * (wanted - own.unwrap_or_default());
         }
-        hips.y += fitted.ankles[1] - fitted.scale * fitted.ankles[0];
+        hips.y += fitted.ankles[1] - fitted.legs * fitted.ankles[0];
         hips
     }
 

@@ -162,6 +162,12 @@ impl Mapping {
         let chest = self.chest(target, hips, named[Spine3.index()]);
         let trunk = chain(target, hips, chest);
         self.spread(target, &trunk[1..], &[Pelvis, Spine1, Spine2, Spine3], named)?;
+        // In Biped the legs hang from the spine.
+        let legs = [Joint::LHip, Joint::RHip].map(|hip| self.joint(hip));
+        let carries = |at: usize| legs.iter().flatten().any(|&hip| target.is_below(hip, at));
+        for &joint in trunk[1..].iter().filter(|&&joint| carries(joint)) {
+            self.follow[joint] = Follow::Ours(Pelvis, Pelvis, 0.0);
+        }
         self.share_neck(target, chest, named)?;
         for (collar, shoulder) in [(LCollar, LShoulder), (RCollar, RShoulder)] {
             let none = map.joints.iter().any(|(ours, to)| *ours == collar && to.is_none());

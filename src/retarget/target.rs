@@ -12,6 +12,8 @@ use crate::io::formats::bvh::{Bvh, BvhError, BvhJoint, Channel};
 
 /// Typical leg length, hip to knee to ankle, for guessing units, metres.
 const LEG: f64 = 0.83;
+/// The same of children and tall adults.
+const LEGS: std::ops::Range<f64> = 0.4..1.4;
 /// Unit of the CMU database's skeletons, 1 / 0.45 inches, in metres.
 const CMU_UNIT: f64 = 0.056_444;
 /// Directions within this angle of an axis snap to it, cosine of 20 degrees.
@@ -213,9 +215,13 @@ fn snapped(direction: Vector3<f64>, near: f64) -> Vector3<f64> {
     Vector3::ith(axis, direction[axis].signum())
 }
 
-/// The unit, in metres, that makes the leg nearest to an adult's by ratio; 0.01 without a leg.
+/// The unit, in metres: a usual one that makes the leg a child's or a tall adult's, or else any that makes it nearest to
+/// an adult's by ratio; 0.01 without a leg.
 fn guess_unit(leg: Option<f64>) -> f64 {
     let Some(leg) = leg.filter(|leg| *leg > 0.0) else { return 0.01 };
+    if let Some(unit) = [1.0, 0.01, 0.001].into_iter().find(|unit| LEGS.contains(&(leg * unit))) {
+        return unit;
+    }
     let off = |unit: &f64| (leg * unit / LEG).ln().abs();
     let units = UNITS.iter().map(|unit| unit.1).chain([CMU_UNIT]);
     units.min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0.01)
@@ -228,6 +234,8 @@ mod tests {
     #[test]
     fn units_are_guessed_from_the_leg() {
         let guesses = [(0.9, 1.0), (78.0, 0.01), (860.0, 0.001), (33.0, 0.0254), (14.8, CMU_UNIT)];
+        let of_a_child = [(0.45, 1.0), (50.0, 0.01), (2.8, 0.3048)];
+        let guesses = guesses.into_iter().chain(of_a_child);
         for (leg, unit) in guesses {
             assert_eq!(guess_unit(Some(leg)), unit, "{leg}");
         }

@@ -712,11 +712,7 @@ fn messages_of_foreign_publishers_are_received() {
     let node = node();
     let inboxes =
         ["mocap/f/rig", "mocap/f/actor/a/pose", "**"].map(|pattern| Inbox::open(&node, pattern));
-    let mut config = zenoh::Config::default();
-    config.insert_json5("mode", "\"client\"").unwrap();
-    config.insert_json5("connect/endpoints", &format!("{:?}", node.listens_on())).unwrap();
-    config.insert_json5("scouting/multicast/enabled", "false").unwrap();
-    let foreign = zenoh::open(config).wait().unwrap();
+    let foreign = foreign(&node);
     let heard = |inbox: &Inbox, capture: i64, encoding: &str| {
         let sample = inbox.next();
         assert_eq!((sample.capture.ns(), &*sample.encoding), (capture, encoding));
@@ -731,6 +727,33 @@ fn messages_of_foreign_publishers_are_received() {
             heard(inbox, 0, "");
             heard(inbox, 7, POSE);
         }
+    }
+}
+
+/// A client of the node that is not of this program.
+fn foreign(node: &Zenoh) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    config.insert_json5("mode", "\"client\"").unwrap();
+    config.insert_json5("connect/endpoints", &format!("{:?}", node.listens_on())).unwrap();
+    config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+    zenoh::open(config).wait().unwrap()
+}
+
+/// A foreign router stamps the messages of all publishers with one clock, and one may overtake another.
+#[test]
+fn messages_with_stamps_out_of_order_are_received() {
+    let node = node();
+    let topics = ["mocap/f/rig", "mocap/f/actor/a/pose"];
+    let inboxes = ["mocap/f/rig", "mocap/f/**"].map(|pattern| Inbox::open(&node, pattern));
+    let foreign = foreign(&node);
+    for stamp in [7, 3, 5] {
+        let stamp = zenoh::time::Timestamp::new(zenoh::time::NTP64(stamp), foreign.zid().into());
+        for topic in topics {
+            foreign.put(topic, "x").timestamp(stamp).wait().unwrap();
+        }
+    }
+    for (inbox, count) in inboxes.iter().zip([3, 6]) {
+        (0..count).for_each(|_| drop(inbox.next()));
     }
 }
 

@@ -457,6 +457,14 @@ fn feet_are_on_the_floor_too_if_the_legs_hang_from_the_spine() {
         let [still, bent] = [&still, &figure].map(|figure| at(&retarget, figure, ankle).unwrap());
         assert!((still - bent).norm() < 0.01, "{}", still - bent);
     }
+    // The hips are those of our pelvis.
+    let mut aside = Pose::rest();
+    for joint in [Joint::Spine1, Joint::Spine2, Joint::Spine3] {
+        aside.local[joint.index() - 1] = bundlemocap::core::so3::about(2, 0.3);
+    }
+    let aside = retarget.apply(&aside, &skeleton).unwrap();
+    let hips = [Joint::LHip, Joint::RHip].map(|hip| at(&retarget, &aside, hip).unwrap());
+    assert!(degrees(&(hips[0] - hips[1]), &Vector3::x()) < 0.1, "{hips:?}");
 }
 
 #[test]
@@ -630,6 +638,8 @@ fn a_map_names_joints_scale_and_unit() {
     let after = retarget.apply(&pose, &skeleton).unwrap();
     let moved = after.positions[0] - before.positions[0];
     assert!((moved - Vector3::new(2.0, 0.0, 0.0)).norm() < 1e-12, "{moved}");
+    let worst = compare("scale", &mut retarget, &skeleton);
+    assert!(worst.limbs < 1.0 && worst.floor < 0.05, "{} {}", worst.limbs, worst.floor);
 }
 
 #[test]
@@ -760,6 +770,25 @@ fn the_program_retargets_a_recording() {
             assert!((at - position * 0.01).norm() < 1e-5, "frame {frame}");
         }
     }
+
+    let part = "retarget --skeleton robot.bvh --from poses.mcap --out part.bvh --start 60f --end 120f --fps 15 \
+                --lost mark";
+    let output = run(folder.path(), part);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let part = Bvh::parse(&std::fs::read_to_string(at("part.bvh")).unwrap()).unwrap();
+    assert_eq!(part.frames(), 31);
+    for frame in [0, 11, 30] {
+        let both =
+            part.posture(frame).unwrap().into_iter().zip(back.posture(60 + 2 * frame).unwrap());
+        for ((_, part), (_, whole)) in both {
+            assert!((part - whole).norm() < 1e-3, "frame {frame}: {part} {whole}");
+        }
+    }
+    let states = std::fs::read_to_string(at("part.states.csv")).unwrap();
+    assert_eq!(states, "first_frame,last_frame,state\n0,30,tracking\n");
+    let live = run(folder.path(), "retarget --skeleton robot.bvh --start 1");
+    assert_eq!(live.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&live.stderr).contains("--from poses.mcap"));
 }
 
 #[test]

@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use super::options::Lost;
-use super::{Export, Format};
+use super::{Export, Format, stem_and_ending};
 use crate::cli::failure::Failure;
 use crate::cli::terminal::complain;
 use crate::core::body::{Attachment, Joint, Pose, TrackingState};
 use crate::core::detections::{Keypoint, KeypointFormat};
+use crate::core::time::Timestamp;
 use crate::io::formats::c3d::write_c3d;
 use crate::io::formats::gltf::write_glb;
 use crate::io::formats::joint_angles::{write_angles, write_mot};
@@ -45,20 +46,22 @@ impl Format {
     /// The files that may be beside a file of this format, and whether this export writes them. Two files of a
     /// performer may share them.
     pub(super) fn beside(self, path: &Path, one: &Motion, export: &Export) -> Vec<(PathBuf, bool)> {
-        match self {
+        let timecode = export.times.sidecar(path).filter(|_| !self.has_timecode());
+        let more = match self {
             Self::Bvh | Self::Glb | Self::Usda | Self::Mot => {
-                let states = (side(path, STATES), export.lost == Lost::Mark);
-                let timecode = (self == Self::Bvh).then(|| export.times.sidecar(path)).flatten();
-                [states].into_iter().chain(timecode.map(|path| (path, true))).collect()
+                Some((states_of(path), export.lost == Lost::Mark))
             }
-            Self::Trc | Self::C3d => vec![(deviations_of(path), has_deviations(one))],
-            _ => Vec::new(),
-        }
+            Self::Trc | Self::C3d => Some((deviations_of(path), has_deviations(one))),
+            _ => None,
+        };
+        timecode.map(|path| (path, true)).into_iter().chain(more).collect()
+    }
+
+    /// Whether a timecode is in the file itself, or has no meaning for it.
+    pub(super) fn has_timecode(self) -> bool {
+        matches!(self, Self::Glb | Self::Usda | Self::Svg | Self::Mcap)
     }
 }
-
-/// Ending of the files with the states.
-const STATES: &str = "states.csv";
 
 /// The file beside `take1.trc`: `take1.trc.sd.csv`. It has the rate of that file.
 fn deviations_of(path: &Path) -> PathBuf {
@@ -67,12 +70,10 @@ fn deviations_of(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// The file beside another: with that ending in place of its own.
-fn side(path: &Path, ending: &str) -> PathBuf {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let own = Format::of(path).map_or(0, |format| format.name().len() + 1);
-    let stem = name.get(..name.len() - own).unwrap_or(&name);
-    path.with_file_name(format!("{stem}.{ending}"))
+/// The file beside an animation that says which frames are lost.
+pub(in crate::cli) fn states_of(path: &Path) -> PathBuf {
+    let (stem, _) = stem_and_ending(path);
+    path.with_file_name(format!("{stem}.states.csv"))
 }
 
 /// The description of a file with a skin and an animation, and its poses with their times, seconds.
@@ -107,26 +108,31 @@ fn bvh(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     one.poses.iter().try_for_each(|pose| file.write(pose))?;
     let (states, unfilled) = file.finish(path)?;
     unfilled.into_iter().for_each(|text| complain("note", &text));
-    export.times.beside(path, start)?;
     mark(path, one, export)?;
     Ok(format!("{} frames at {fps:.2} Hz", states.frames()))
 }
 
 /// Writes beside an animation which of its frames are lost, if that is asked for.
 fn mark(path: &Path, one: &Motion, export: &Export) -> Result<(), Failure> {
-    if export.lost == Lost::Mark {
-        let mut states = States::default();
-        for pose in evenly(path, one, export) {
-            states.add(1, pose.map_or(HELD, |pose| pose.state.name()));
-        }
-        text(&side(path, STATES), &states.csv())?;
+    if export.lost == Lost::Mark { write_states(path, one, export.start) } else { Ok(()) }
+}
+
+/// Writes beside an animation that begins at `start` which of its frames are lost.
+pub(in crate::cli) fn write_states(
+    path: &Path,
+    one: &Motion,
+    start: Timestamp,
+) -> Result<(), Failure> {
+    let mut states = States::default();
+    for pose in evenly(path, one, start) {
+        states.add(1, pose.map_or(HELD, |pose| pose.state.name()));
     }
-    Ok(())
+    Ok(text(&states_of(path), &states.csv())?)
 }
 
 /// The poses at evenly spaced times from the start; `None` in gaps. Says which gaps are not filled.
-fn evenly<'a>(path: &Path, one: &'a Motion, export: &Export) -> Vec<Option<&'a CompactPose>> {
-    let mut fill = Fill::new(one.fps).from(export.start);
+fn evenly<'a>(path: &Path, one: &'a Motion, start: Timestamp) -> Vec<Option<&'a CompactPose>> {
+    let mut fill = Fill::new(one.fps).from(start);
     let mut frames = Vec::new();
     for pose in &one.poses {
         frames.resize(frames.len() + fill.gap_before(pose.capture), None);
@@ -173,7 +179,7 @@ fn markers(
         all.map(|place| Some(style.place(&place))).collect::<Vec<_>>()
     };
     let is_known = |pose: &&CompactPose| pose.is_tracked();
-    let poses = evenly(path, one, export);
+    let poses = evenly(path, one, export.start);
     let frames: Vec<_> = (poses.iter())
         .map(|pose| pose.filter(is_known).map_or_else(|| vec![None; names.len()], places))
         .collect();
@@ -226,7 +232,7 @@ fn mot(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
 fn filled(path: &Path, one: &Motion, export: &Export) -> Vec<TimedPose> {
     let fps = one.fps;
     let mut poses: Vec<TimedPose> = Vec::new();
-    for (frame, pose) in evenly(path, one, export).into_iter().enumerate() {
+    for (frame, pose) in evenly(path, one, export.start).into_iter().enumerate() {
         let time = frame as f64 / fps;
         let repeated = || {
             let first = || Some(timed(time, one.poses.first()?));

@@ -8,7 +8,9 @@ use std::path::{Component, Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use self::options::{Lost, Options};
+pub(super) use self::files::{states_of, write_states};
+use self::options::Options;
+pub(super) use self::options::{Changes, Lost};
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::overwrite::Overwrite;
@@ -36,7 +38,8 @@ The ending of each file chooses the format:
   .bvh    skeleton and animation, for Blender, MotionBuilder and Maya; centimetres
   .trc    keypoints of the body and joint centres (_jc), for OpenSim and Pose2Sim; metres
   .c3d    the same markers, for Mokka, Visual3D and other tools of biomechanics; millimetres
-  .csv    places and their standard deviations (metres), rotations (quaternions) of the joints
+  .csv    places of the joints in the world and their standard deviations (metres), rotations in their
+          parents (quaternions)
   .mot    joint angles as OpenSim's Rajagopal models have them; degrees, metres
   .angles.csv  the same as a table
   .npz    rotation vectors of SMPL's joints with AMASS's fields; metres, z up
@@ -49,7 +52,8 @@ the joints have y along their bones. In .usda a `:` of a joint's name is `_`. Fr
 from the first frame of the take, or from --start of export or of solve. Without --start, frame n of
 .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of the
 poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at most ten
-minutes in all. .trc (nan) and .c3d are empty there, and where the performer is lost or coasting; .c3d
+minutes in all; in .glb and .usda programs interpolate over gaps of up to 0.25 s, and longer ones hold
+the pose. .trc (nan) and .c3d are empty there, and where the performer is lost or coasting; .c3d
 has events there. The standard deviations of the joint centres, metres, are in take1.trc.sd.csv beside
 take1.trc; the same for .c3d.
 
@@ -71,9 +75,9 @@ pub(super) struct Arguments {
     /// Format of all files, whatever their endings.
     #[arg(long, visible_alias = "to", value_enum)]
     format: Option<Format>,
-    /// Number of stick figures in a picture.
-    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
-    figures: u8,
+    /// Number of stick figures in a picture; default: 7.
+    #[arg(long, value_parser = clap::value_parser!(u8).range(1..))]
+    figures: Option<u8>,
     #[command(flatten)]
     span: SpanArguments,
     /// Export this performer alone; default: each, to a file named after the performer if the
@@ -153,19 +157,23 @@ struct Export {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let (mut of_one, mut whole) = (Vec::new(), Vec::new());
+    let (mut of_one, mut whole, mut has_picture) = (Vec::new(), Vec::new(), false);
     for path in &arguments.out {
         let format = arguments.format.map_or_else(|| Format::of(path), Ok)?;
         arguments.options.check(format)?;
+        has_picture |= format == Format::Svg;
         match format.of_one() {
             Some(write) => of_one.push((path, format, write)),
             None => whole.push(path.clone()),
         }
     }
+    if arguments.figures.is_some() && !has_picture {
+        return Err(Failure::new(Exit::Usage, "--figures is for .svg, and no --out is one"));
+    }
     let is_in_part = arguments.truth
         || arguments.actor.is_some()
         || arguments.span.is_given()
-        || arguments.options.changes_poses();
+        || arguments.options.changes.changes_poses();
     if !whole.is_empty() && is_in_part {
         let message = "a .mcap holds the whole recording; leave out --actor, --truth, --start, --end, \
                        --fps, --in-place and --lost skip";
@@ -177,11 +185,18 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if !of_one.is_empty() {
         solved = read(&arguments.file, arguments.truth, arguments.actor.as_deref())?;
         several = solved.performers.len() > 1;
-        start = cut(&mut solved.performers, arguments, &mut times)?;
+        let changes = &arguments.options.changes;
+        start = cut(&mut solved.performers, &arguments.span, changes, &mut times)?;
+        let notes = solved.performers.iter().filter_map(|one| changes.note_lost(one));
+        notes.for_each(|text| complain("note", &text));
     }
-    let (style, lost, figures) =
-        (arguments.options.style(), arguments.options.lost, arguments.figures.into());
-    let export = Export { times, start, style, lost, figures };
+    let export = Export {
+        times,
+        start,
+        style: arguments.options.style(),
+        lost: arguments.options.changes.lost,
+        figures: arguments.figures.unwrap_or(7).into(),
+    };
     let (mut files, mut paths, mut old) = (Vec::new(), whole.clone(), Vec::new());
     for one in &solved.performers {
         let mut besides = Vec::new();
@@ -194,7 +209,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
                 }
             }
             paths.push(path.clone());
-            files.push((path, one, write));
+            files.push((path, one, format, write));
         }
         paths.extend(besides);
     }
@@ -202,8 +217,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     for path in whole {
         solved.damage = write_foxglove(&arguments.file, &path)?;
     }
-    for (path, one, write) in files {
+    for (path, one, format, write) in files {
         say(&format!("{}: {}", path.display(), write(&path, one, &export)?));
+        if !format.has_timecode() {
+            export.times.beside(&path, Some(export.start))?;
+        }
     }
     for path in old.iter().filter(|path| !paths.contains(path) && path.exists()) {
         // Those of `solve` are beside the recording and have its name.
@@ -217,16 +235,17 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 
 /// Leaves what is exported of the performers; returns the time of the files' first frame: that of --start or of
 /// the take's first frame, on the grid of the poses.
-fn cut(
+pub(super) fn cut(
     performers: &mut Vec<Motion>,
-    arguments: &Arguments,
+    part: &SpanArguments,
+    changes: &Changes,
     times: &mut Times,
 ) -> Result<Timestamp, Failure> {
     let Some((first, fps)) = first_pose(performers) else { return Ok(Timestamp::default()) };
     times.rate = Some(fps);
     let last = performers.iter().filter_map(|one| Some(one.poses.last()?.capture)).max();
     let mut wanted = file_start(first, times.first);
-    let (span, is_resampled) = (arguments.span.within(times)?, arguments.options.is_resampled());
+    let (span, is_resampled) = (part.within(times)?, changes.is_resampled());
     let slack = Nanos::rounded(ON_FRAME / fps * 1e9);
     if let Some([from, to]) = span {
         // Between two poses one before and one after are needed.
@@ -237,7 +256,7 @@ fn cut(
         }
         wanted = wanted.max(from);
     }
-    let start = match arguments.span.first(times).filter(|_| is_resampled) {
+    let start = match part.first(times).filter(|_| is_resampled) {
         // The same times as without --start, if it is one of them.
         Some(asked) => asked.max(wanted),
         None => {
@@ -249,7 +268,7 @@ fn cut(
     };
     for one in performers.iter_mut() {
         let poses = std::mem::take(&mut one.poses);
-        (one.poses, one.fps) = arguments.options.apply(poses, start, one.fps);
+        (one.poses, one.fps) = changes.apply(poses, start, one.fps);
         if let Some([_, to]) = span.filter(|_| is_resampled) {
             let is_in = |at: Timestamp| at + slack >= start && at - slack <= to;
             one.poses.retain(|pose| is_in(pose.capture));
@@ -259,8 +278,7 @@ fn cut(
         performers.drain(..).partition(|one| !one.poses.is_empty());
     *performers = left;
     if performers.is_empty() {
-        let but =
-            if arguments.options.lost == Lost::Skip { " but lost or coasting ones" } else { "" };
+        let but = if changes.lost == Lost::Skip { " but lost or coasting ones" } else { "" };
         return Err(Failure::new(
             Exit::Usage,
             format!(
@@ -277,7 +295,7 @@ fn cut(
 }
 
 /// The capture time of the earliest pose of all, and its frame rate.
-pub(super) fn first_pose(performers: &[Motion]) -> Option<(Timestamp, f64)> {
+fn first_pose(performers: &[Motion]) -> Option<(Timestamp, f64)> {
     let poses = |one: &Motion| Some((one.poses.first()?.capture, one.fps));
     performers.iter().filter_map(poses).min_by_key(|one| one.0)
 }
@@ -289,7 +307,7 @@ pub(super) fn file_start(first: Timestamp, take: Timestamp) -> Timestamp {
 }
 
 /// The first frame at `start` or later, whole frames from the pose at `first`. `fps` is in hertz.
-pub(super) fn frame_from((first, fps): (Timestamp, f64), start: Timestamp) -> Timestamp {
+fn frame_from((first, fps): (Timestamp, f64), start: Timestamp) -> Timestamp {
     let frames = (start.seconds_since(first) * fps - ON_FRAME).ceil();
     first + Nanos::rounded(frames / fps * 1e9)
 }
@@ -314,11 +332,24 @@ fn plain(path: &Path) -> PathBuf {
 
 /// `take1.p1.bvh` for `take1.bvh` of the performer p1; the path itself if there is only one performer.
 pub(super) fn path_of(path: &Path, actor: Option<&String>) -> PathBuf {
-    match (actor, path.extension()) {
-        (None, _) => path.to_owned(),
-        (Some(actor), None) => path.with_extension(actor),
-        (Some(actor), Some(end)) => path.with_extension(format!("{actor}.{}", end.display())),
-    }
+    let Some(actor) = actor else { return path.to_owned() };
+    let (stem, ending) = stem_and_ending(path);
+    let (stem, ending) = match (ending.is_empty(), path.file_stem(), path.extension()) {
+        (true, Some(stem), Some(ending)) => {
+            (stem.to_string_lossy().into_owned(), format!(".{}", ending.display()))
+        }
+        _ => (stem, ending),
+    };
+    path.with_file_name(format!("{stem}.{actor}{ending}"))
+}
+
+/// The file name without the ending of its format, and that ending with its dot, such as `.angles.csv`; empty if it is
+/// of no format.
+fn stem_and_ending(path: &Path) -> (String, String) {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let length = Format::of(path).map_or(0, |format| format.name().len() + 1);
+    let (stem, ending) = name.split_at_checked(name.len() - length).unwrap_or((&name, ""));
+    (stem.to_owned(), ending.to_owned())
 }
 
 /// Writes poses and keypoints with the schemas of Foxglove; returns the losses of a damaged recording.

@@ -1,4 +1,4 @@
-//! How poses are changed before they are written.
+//! How poses are changed, and how they are written.
 
 use std::str::FromStr;
 
@@ -10,6 +10,7 @@ use crate::cli::failure::{Exit, Failure, ratio};
 use crate::core::body::{JointDeviations, StampedPose, TrackingState};
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::formats::{JointAxes, JointNames, RestPose, Style, Unit, Up};
+use crate::offline::Motion;
 use crate::offline::compact_pose::CompactPose;
 
 /// Poses further apart than this are on two sides of a gap, periods.
@@ -18,10 +19,24 @@ const GAP_PERIODS: f64 = 1.5;
 /// How poses are changed before they are written.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Options of files")]
-pub(super) struct Options {
+pub(in crate::cli) struct Changes {
     /// Frames per second: poses are interpolated; default: those of the recording.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     fps: Option<f64>,
+    /// Leave out the movement over the floor: the pelvis stays above the origin.
+    #[arg(long)]
+    in_place: bool,
+    /// What becomes of poses that are lost or coasting: too little was seen, or they did not fit.
+    #[arg(long, value_enum, default_value_t = Lost::Keep)]
+    pub(in crate::cli) lost: Lost,
+}
+
+/// How poses are written.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Options of files")]
+pub(super) struct Options {
+    #[command(flatten)]
+    pub(super) changes: Changes,
     /// The pose in which all rotations are zero: T, A with the arms 45 degrees lower, or N with hanging
     /// arms (.glb .usda .bvh .csv).
     #[arg(long, value_name = "POSE", default_value = "t", value_parser =
@@ -43,17 +58,11 @@ pub(super) struct Options {
     #[arg(long, value_parser =
         PossibleValuesParser::new(["m", "cm", "mm"]).try_map(|name| Unit::from_str(&name)))]
     unit: Option<Unit>,
-    /// Leave out the movement over the floor: the pelvis stays above the origin.
-    #[arg(long)]
-    in_place: bool,
-    /// What becomes of poses that are lost or coasting: too little was seen, or they did not fit.
-    #[arg(long, value_enum, default_value_t = Lost::Keep)]
-    pub(super) lost: Lost,
 }
 
 /// What becomes of poses that are not tracked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum Lost {
+pub(in crate::cli) enum Lost {
     /// Written like others; .csv and .npz say which they are. In .trc and .c3d they are empty.
     Keep,
     /// The same, and beside each .bvh, .glb, .usda and .mot a .states.csv says which they are.
@@ -99,16 +108,6 @@ impl Options {
         style
     }
 
-    /// Whether the files have another frame rate.
-    pub(super) fn is_resampled(&self) -> bool {
-        self.fps.is_some()
-    }
-
-    /// Whether one of them changes the poses.
-    pub(super) fn changes_poses(&self) -> bool {
-        self.fps.is_some() || self.in_place || self.lost == Lost::Skip
-    }
-
     /// Fails if an option has no meaning for a format.
     pub(super) fn check(&self, format: Format) -> Result<(), Failure> {
         use Format::{Angles, Bvh, C3d, Csv, Glb, Mot, Npz, Trc, Usda};
@@ -121,7 +120,7 @@ impl Options {
             ("--unit", self.unit.is_some(), markers),
             (
                 "--lost mark",
-                self.lost == Lost::Mark,
+                self.changes.lost == Lost::Mark,
                 &[Bvh, Glb, Usda, Mot, Csv, Angles, Npz, Trc, C3d],
             ),
         ];
@@ -134,6 +133,32 @@ impl Options {
                 format!(".{format}: {option} is for {names}; export this file without it");
             Err(Failure::new(Exit::Usage, message))
         })
+    }
+}
+
+impl Changes {
+    /// Whether the files have another frame rate.
+    pub(super) fn is_resampled(&self) -> bool {
+        self.fps.is_some()
+    }
+
+    /// Whether one of them changes the poses.
+    pub(super) fn changes_poses(&self) -> bool {
+        self.fps.is_some() || self.in_place || self.lost == Lost::Skip
+    }
+
+    /// Whether one of them is given.
+    pub(in crate::cli) fn is_given(&self) -> bool {
+        self.changes_poses() || self.lost != Lost::Keep
+    }
+
+    /// A note on poses that are in the files and not tracked, unless the files say which.
+    pub(in crate::cli) fn note_lost(&self, one: &Motion) -> Option<String> {
+        let lost = one.poses.iter().filter(|pose| !pose.is_tracked()).count();
+        let what =
+            "poses are coasting or lost; --lost mark lists them, --lost skip leaves them out";
+        (lost > 0 && self.lost == Lost::Keep)
+            .then(|| format!("{}: {lost} of {} {what}", one.actor, one.poses.len()))
     }
 
     /// The poses as the files have them; `start`: the time of the files' first frame, `fps`: frames per

@@ -2,6 +2,7 @@
 
 mod disturb;
 pub mod inbox;
+mod numbers;
 pub mod player;
 pub mod recorder;
 pub mod room;

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
 
+use super::numbers::Numbers;
 use super::room::Room;
 use super::silence::Silence;
 use crate::core::time::{Nanos, Timestamp};
@@ -29,6 +30,8 @@ const MOST_RECENT: usize = 65_536;
 pub(crate) struct Recorded {
     /// Messages by topic.
     pub(crate) topics: BTreeMap<Arc<str>, u64>,
+    /// The cameras' frames that did not come.
+    pub(crate) numbers: Numbers,
     /// Messages on all topics.
     pub(crate) messages: u64,
     /// Bytes of payload.
@@ -39,6 +42,20 @@ pub(crate) struct Recorded {
     pub(crate) skipped: u64,
     /// Takes that could not be completed.
     pub(crate) failed: u64,
+}
+
+impl Recorded {
+    /// What is in the file of a take, and what is missing.
+    fn text(&self) -> String {
+        let missing = self.numbers.all_missing();
+        let missing: Vec<_> =
+            missing.map(|(camera, frames)| format!("{camera} {frames}")).collect();
+        let messages = format!("{} messages", self.messages);
+        match missing.is_empty() {
+            true => messages,
+            false => format!("{messages}; frames that did not come: {}", missing.join(", ")),
+        }
+    }
 }
 
 /// A file that is being written.
@@ -58,6 +75,7 @@ impl Open {
                 done?;
                 self.recorded.messages += 1;
                 self.recorded.bytes += entry.payload.len() as u64;
+                self.recorded.numbers.came(entry);
                 *self.recorded.topics.entry(Arc::clone(&entry.topic)).or_default() += 1;
             }
         }
@@ -172,10 +190,11 @@ impl Recorder {
         self.all.iter_mut().chain(take).chain(ending)
     }
 
-    /// Writes a message to the open files. First opens a file if a node says that a take runs which began before this
-    /// recorder.
+    /// Writes a message to the open files. First completes those whose time has come, and opens a file if a node says that
+    /// a take runs which began before this recorder.
     pub(crate) fn write(&mut self, entry: RawEntry) -> Result<Vec<Said>, RecordError> {
-        let said = self.join(&entry)?;
+        let mut said = self.tick(entry.log_time)?;
+        said.extend(self.join(&entry)?);
         for file in self.files() {
             file.write(&entry)?;
         }
@@ -357,7 +376,7 @@ impl Recorder {
             let done = match done {
                 Ok((_, recorded)) => {
                     self.skipped += recorded.skipped;
-                    Ok(format!("{path}: {} messages", recorded.messages))
+                    Ok(format!("{path}: {}", recorded.text()))
                 }
                 Err(why) => {
                     self.failed += 1;
@@ -410,7 +429,7 @@ impl Recorder {
             let what = match file.finish() {
                 Ok((path, recorded)) => {
                     self.skipped += recorded.skipped;
-                    format!("{}: {} messages", path.display(), recorded.messages)
+                    format!("{}: {}", path.display(), recorded.text())
                 }
                 Err(error) => error.to_string(),
             };
@@ -489,10 +508,9 @@ mod tests {
                 if i == 30 {
                     assert!(recorder.slate(&slate("stop", ""), at(now)).unwrap().is_empty());
                 }
-                recorder.write(entry(&topics.keypoints("a"), now)).unwrap();
-                recorder.write(entry(&topics.pose(), now)).unwrap();
-                let ended = recorder.tick(at(now)).unwrap();
+                let ended = recorder.write(entry(&topics.keypoints("a"), now)).unwrap();
                 assert_eq!(ended.len(), usize::from(i == 40), "{i} {ended:?}");
+                recorder.write(entry(&topics.pose(), now)).unwrap();
             }
         }
         // A note is for the file, whatever the name of the take.
@@ -525,7 +543,7 @@ mod tests {
             }
             // Frames of the second before, of the take and of the second after it; poses since it.
             let counts: Vec<u64> = counts.into_values().collect();
-            assert!(matches!(counts[..], [21, 31..=32, 1]), "{file} {counts:?}");
+            assert!(matches!(counts[..], [20, 30..=31, 1]), "{file} {counts:?}");
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4);
     }
@@ -583,15 +601,15 @@ mod tests {
                 _ => slate("", ""),
             };
             said.extend(recorder.slate(&command, now).unwrap());
-            recorder.write(entry(&Topics::default().pose(), 0.1 * f64::from(i))).unwrap();
-            said.extend(recorder.tick(now).unwrap());
+            let pose = entry(&Topics::default().pose(), 0.1 * f64::from(i));
+            said.extend(recorder.write(pose).unwrap());
         }
         said.extend(recorder.finish().unwrap().1);
         let poses = |file: &str| {
             let mut reader = Reader::open(folder.path().join(file)).unwrap();
             std::iter::from_fn(|| reader.next_raw()).count()
         };
-        assert_eq!(["a.mcap", "b.mcap", "b_2.mcap"].map(poses), [16, 26, 27]);
+        assert_eq!(["a.mcap", "b.mcap", "b_2.mcap"].map(poses), [15, 25, 27]);
         let is_warning = |said: &&Said| matches!(said, Said::Warning(_));
         assert_eq!((said.len(), said.iter().filter(is_warning).count()), (6, 2), "{said:?}");
     }

@@ -14,8 +14,9 @@
 //! 8 bytes little endian. Samples of foreign publishers without attachment have capture time 0.
 //! Foreign publishers have no cache unless they are advanced publishers of zenoh-ext.
 //!
-//! Zenoh's time stamps are off: routers would stamp samples of all publishers with one clock, and
-//! zenoh-ext would treat them as one source and drop samples that are out of order.
+//! Zenoh's time stamps are off. A foreign router may stamp the samples of all publishers with its own clock. Then
+//! zenoh-ext takes them for samples of one source and drops those that are out of order. So only numbered samples, those
+//! of our states, come through its subscriber.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -169,23 +170,28 @@ impl Bus for Zenoh {
 
     fn subscribe(&self, pattern: &str, sink: Sink) -> Result<Box<dyn Guard>, BusError> {
         check_pattern(pattern)?;
-        let builder = self
-            .session
-            .declare_subscriber(canonical(pattern)?)
-            .callback(move |sample| sink(from_zenoh(&sample)));
-        let what = || format!("cannot subscribe to {pattern}");
+        let key = canonical(pattern)?;
+        let sink = Arc::new(sink);
+        let subscriber = |takes: fn(&zenoh::sample::Sample) -> bool| {
+            let sink = Arc::clone(&sink);
+            self.session.declare_subscriber(key.clone()).callback(move |sample| {
+                if takes(&sample) {
+                    sink(from_zenoh(&sample));
+                }
+            })
+        };
+        let error = |e| self.error(format!("cannot subscribe to {pattern}"), e);
         let announced = self.announcer.announce(self, pattern);
         if is_of_streams(pattern) {
-            let subscriber = builder.wait().map_err(|e| self.error(what(), e))?;
-            return Ok(self.alive((subscriber, announced)));
+            return Ok(self.alive((subscriber(|_| true).wait().map_err(error)?, announced)));
         }
-        let subscriber = builder
+        let unnumbered = subscriber(|sample| sample.source_info().is_none());
+        let numbered = subscriber(|sample| sample.source_info().is_some())
             .history(HistoryConfig::default().detect_late_publishers())
             .recovery(RecoveryConfig::default().heartbeat())
-            .query_timeout(HISTORY_WITHIN)
-            .wait()
-            .map_err(|e| self.error(what(), e))?;
-        Ok(self.alive((subscriber, announced)))
+            .query_timeout(HISTORY_WITHIN);
+        let subscribers = (unnumbered.wait().map_err(error)?, numbered.wait().map_err(error)?);
+        Ok(self.alive((subscribers, announced)))
     }
 
     fn answer(&self, topic: &str, answer: Answer) -> Result<Option<Box<dyn Guard>>, BusError> {

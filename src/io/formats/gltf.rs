@@ -64,7 +64,7 @@ pub fn write_glb(
         "skins": [{ "skeleton": 0, "inverseBindMatrices": binds, "joints": Vec::from_iter(0..JOINTS) }],
     });
     if count > 0 {
-        json["animations"] = json!([animation(&keys, &mut buffer)]);
+        json["animations"] = json!([animation(about.name, &keys, &mut buffer)]);
     }
     json["buffers"] = json!([{ "byteLength": buffer.bytes.len() }]);
     (json["bufferViews"], json["accessors"]) = (buffer.views.into(), buffer.accessors.into());
@@ -198,7 +198,7 @@ fn rows(vectors: &[Vector3<f64>]) -> Vec<[f32; 3]> {
 }
 
 /// The keys as an animation of the nodes.
-fn animation(keys: &Keys, buffer: &mut Buffer) -> Value {
+fn animation(name: &str, keys: &Keys, buffer: &mut Buffer) -> Value {
     let times = buffer.floats("SCALAR", &keys.times, None);
     let mut outputs = vec![(0, "translation", buffer.floats("VEC3", &keys.positions, None))];
     for (joint, turns) in keys.rotations.iter().enumerate() {
@@ -210,5 +210,5 @@ fn animation(keys: &Keys, buffer: &mut Buffer) -> Value {
         channels.push(json!({ "sampler": samplers.len(), "target": target }));
         samplers.push(json!({ "input": times, "output": output }));
     }
-    json!({ "name": "take", "samplers": samplers, "channels": channels })
+    json!({ "name": name, "samplers": samplers, "channels": channels })
 }

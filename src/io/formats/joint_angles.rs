@@ -26,6 +26,8 @@ use crate::io::new_file;
 
 /// The turn of an upper arm is known where the forearm leaves its line by this part of its length.
 const SURE_SIDE: f64 = 0.3;
+/// Angles go on from the last ones if others are not smaller by their way, divided by this.
+const SMALL: f64 = 1.5;
 /// Number of coordinates of a pose.
 const COORDINATES: usize = 27;
 
@@ -140,7 +142,13 @@ impl Angles {
                 [] => pose.root_rotation,
                 joints => joints.iter().map(|joint| pose.local[joint.index() - 1]).product(),
             };
-            *last = so3::angles(&(axes * turn * axes.transpose()), [2, 0, 1], *last);
+            let turn = axes * turn * axes.transpose();
+            // The performer may turn round and round.
+            *last = if joints.is_empty() {
+                so3::angles(&turn, [2, 0, 1], *last)
+            } else {
+                small_angles(&turn, *last)
+            };
             let [z, x, y] = last.map(f64::to_degrees);
             let end = joints.last();
             // The models mirror the left side.
@@ -158,6 +166,20 @@ impl Angles {
     }
 }
 
+/// The angles of a joint about z, x and y, radians. Two solutions with whole turns are equal turns. An arm that is out
+/// to the side has two near ones, and may come down with the one of which all angles are beyond a quarter turn. So the
+/// angles go on from `last`, unless others are much smaller.
+fn small_angles(turn: &Matrix3<f64>, last: [f64; 3]) -> [f64; 3] {
+    let near = so3::both_angles(turn, [2, 0, 1], last);
+    let home = near.map(|angles| so3::nearest_turns(angles, [0.0; 3]));
+    let sum = |angles: [f64; 3]| angles.map(f64::abs).into_iter().sum::<f64>();
+    let cost = |angles: &[f64; 3]| {
+        sum(std::array::from_fn(|axis| angles[axis] - last[axis])) + SMALL * sum(*angles)
+    };
+    let all = near.into_iter().chain(home);
+    all.min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(last)
+}
+
 /// An elbow that only bends, about z, and the turn of the upper arm about its axis, y, with which the forearm points
 /// where it did. The straighter the arm, the less is known of the turn, and the less it turns.
 fn hinged(elbow: &Matrix3<f64>, last: &mut f64) -> (Matrix3<f64>, Matrix3<f64>) {
@@ -170,8 +192,9 @@ fn hinged(elbow: &Matrix3<f64>, last: &mut f64) -> (Matrix3<f64>, Matrix3<f64>) 
     let is_nearly_straight = forearm.y < 0.0 && side < SURE_SIDE;
     let is_other = is_nearly_straight && (other - *last).abs() < (turn - *last).abs();
     let (turn, bent) = if is_other { (other, -bent) } else { (turn, bent) };
-    *last = if is_nearly_straight { turn * side / SURE_SIDE } else { turn };
-    (so3::about(1, *last), so3::about(2, bent))
+    let turn = if is_nearly_straight { turn * side / SURE_SIDE } else { turn };
+    *last = so3::nearest_turns([turn], [0.0])[0];
+    (so3::about(1, turn), so3::about(2, bent))
 }
 
 /// Writes a .mot file of evenly spaced poses of a body from 0 s.
@@ -282,6 +305,29 @@ mod tests {
         }
         assert!((at(&all(&pose), "knee_angle_l") - bent(&pose, leg)).abs() < 0.05);
         assert!((at(&all(&pose), "elbow_flex_r") - bent(&pose, arm)).abs() < 0.05);
+    }
+
+    #[test]
+    fn an_arm_that_hangs_again_has_small_angles_whatever_it_did() {
+        let mut angles = straight();
+        let arm = NAMES.iter().position(|name| *name == "arm_flex_l").unwrap();
+        let mut at = |degrees: [f64; 2]| {
+            let [aside, ahead] = degrees.map(f64::to_radians);
+            let mut pose = RestPose::N.pose();
+            // Lifted aside, and then moved to the front about the vertical.
+            let local = &mut pose.local[Joint::LShoulder.index() - 1];
+            *local = so3::about(1, -ahead) * so3::about(2, aside) * so3::about(1, ahead) * *local;
+            angles.of(&pose)[arm..arm + 3].to_vec()
+        };
+        let steps =
+            |from: f64, to: f64| (0..=20).map(move |k| from + f64::from(k) / 20.0 * (to - from));
+        for top in [80.0, 89.0, 91.0, 100.0, 120.0, 160.0] {
+            steps(0.0, top).for_each(|aside| drop(at([aside, 0.0])));
+            steps(0.0, 100.0).for_each(|ahead| drop(at([top, ahead])));
+            steps(top, 0.0).for_each(|aside| drop(at([aside, 100.0])));
+            let hanging = at([0.0, 0.0]);
+            assert!(hanging.iter().all(|angle| angle.abs() < 1.0), "{top}: {hanging:?}");
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use crate::core::body::{JOINTS, Joint, JointDeviations, Pose, Skeleton, TrackingState};
 use crate::core::so3;
+use crate::io::formats::animation::continued;
 use crate::io::formats::{ExportError, Style};
 use crate::io::new_file;
 
@@ -21,8 +22,8 @@ pub struct TimedPose {
 }
 
 /// Writes a line for each pose: `time_s`, `state` (tracking, coasting, lost), then for each joint its place in the
-/// world (`pelvis_x`, `_y`, `_z`; metres), its rotation (`pelvis_qx`, `_qy`, `_qz`, `_qw`): of the
-/// pelvis in the world, of the others in their parents, and the standard deviation of its place along each
+/// world (`pelvis_x`, `_y`, `_z`; metres), its rotation (`pelvis_qx`, `_qy`, `_qz`, `_qw`; without changes of the sign):
+/// of the pelvis in the world, of the others in their parents, and the standard deviation of its place along each
 /// axis (`pelvis_sd`; metres, empty where it is not known). The axes, the names of the joints and the pose in
 /// which all rotations are zero are those of the style.
 ///
@@ -41,13 +42,16 @@ pub fn write_csv(
     };
     let header = ["time_s", "state"].map(str::to_owned);
     let header = header.into_iter().chain(Joint::ALL.into_iter().flat_map(of)).collect();
+    let mut last = [[0.0; 4]; JOINTS];
     let row = |TimedPose { time, state, pose, deviations }: TimedPose| {
         let pose = style.pose(&pose);
         let places = pose.posture(&skeleton).positions;
         let turns = std::iter::once(&pose.root_rotation).chain(&pose.local);
-        let joints = places.iter().zip(turns).zip(deviation_cells(deviations.as_ref()));
-        let joints = joints.flat_map(|((at, turn), deviation)| {
-            let [x, y, z, w] = so3::xyzw_from_rotation(turn);
+        for (last, turn) in last.iter_mut().zip(turns) {
+            *last = continued(so3::xyzw_from_rotation(turn), last);
+        }
+        let joints = places.iter().zip(last).zip(deviation_cells(deviations.as_ref()));
+        let joints = joints.flat_map(|((at, [x, y, z, w]), deviation)| {
             let numbers = [at.x, at.y, at.z, x, y, z, w].map(|value| format!("{value:.7}"));
             numbers.into_iter().chain([deviation])
         });

@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum BvhError {
-    #[error("it is not UTF-8; save it as UTF-8")]
+    #[error("it is not a text in UTF-8, as BVH files are")]
     Encoding,
     #[error("line {line}: `{found}` instead of {expected}; the file is not valid BVH")]
     Unexpected { line: usize, expected: &'static str, found: String },
