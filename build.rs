@@ -72,7 +72,15 @@ fn with_json(config: &mut Config) -> &mut Config {
             ],
             "hexadecimal",
         ),
-        (&["JournalStart.rig", "JournalMessage.payload"], "length"),
+        (
+            &[
+                "JournalStart.rig",
+                "JournalStart.body",
+                "JournalPerformer.body",
+                "JournalMessage.payload",
+            ],
+            "length",
+        ),
     ] {
         for field in fields {
             config.field_attribute(format!("bundlemocap.v1.{field}"), with(function));

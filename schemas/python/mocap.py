@@ -47,7 +47,6 @@ class Stream:
             topic,
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.REAL_TIME,
-            express=True,
         )
 
     def put(self, message, capture_time_ns):
@@ -83,11 +82,11 @@ class _Announced:
 
     _number = uuid.uuid4().hex[:8]
 
-    def __init__(self, session, topic, subscriber):
+    def __init__(self, session, topic, *subscribers):
         pattern = "/".join("+" * len(part) if set(part) == {"*"} else part for part in topic.split("/"))
         names = pathlib.Path(sys.argv[0]).stem, platform.node(), f"{os.getpid()}.{self._number}"
         about = "/".join(re.sub(r"[/*$?#@\x00-\x1f]", "_", name)[:40] or "unknown" for name in names)
-        self._parts = [subscriber]
+        self._parts = list(subscribers)
         # The subscription does not depend on it.
         with contextlib.suppress(zenoh.ZError):
             self._parts.append(session.liveliness().declare_token(f"mocap/receivers/{about}/{pattern}"))
@@ -109,14 +108,17 @@ def subscribe_state(session, topic, message_type, handle):
 
 def subscribe_samples(session, topic, handle):
     """Calls `handle(sample)` for the last and for new samples of any type. Keep the subscriber."""
-    subscriber = zenoh.ext.declare_advanced_subscriber(
+    # A router may stamp the samples of all publishers with its clock. Then zenoh-ext takes them for samples of one source,
+    # and drops those that are out of order. So only numbered samples come through its subscriber.
+    numbered = zenoh.ext.declare_advanced_subscriber(
         session,
         topic,
-        handle,
+        lambda sample: sample.source_info and handle(sample),
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
         recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )
-    return _Announced(session, topic, subscriber)
+    others = session.declare_subscriber(topic, lambda sample: sample.source_info or handle(sample))
+    return _Announced(session, topic, numbered, others)
 
 
 def _decoding(message_type, handle):

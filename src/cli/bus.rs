@@ -57,6 +57,11 @@ impl BusArguments {
             config.bus.kind = bus.kind();
         }
         if !self.connect.is_empty() {
+            if config.bus.kind != Kind::Zenoh {
+                let text =
+                    "--connect is for zenoh; iceoryx2 reaches the programs of this computer alone";
+                return Err(Failure::new(Exit::Usage, text));
+            }
             config.bus.zenoh.connect.clone_from(&self.connect);
         }
         let names = [

@@ -6,15 +6,18 @@ use clap::Args;
 use serde_json::json;
 
 use super::Ended;
+use super::failure::Exit;
 use super::overwrite::{Overwrite, check_ending};
 use super::solve::{Progress, lost};
+use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say, table};
 use crate::config::Config;
 use crate::core::calibration::{OFFSET_REACH, offset_step};
 use crate::core::time::Nanos;
 use crate::io::formats::{Up, write_calibration};
 use crate::offline::{
-    CameraCorrection, CameraOffset, CheckedCameras, Options, Recording, check_cameras,
+    CameraCorrection, CameraOffset, ChangedCamera, CheckedCameras, Options, Recording,
+    check_cameras,
 };
 
 /// Estimate the time offsets of a recording's cameras and small corrections of their calibration, from
@@ -35,7 +38,8 @@ disagreement (median, pixels) before and after, and each correction with its sta
 correction counts if it is above 3 standard errors and above 0.1 degrees, 5 mm or 0.3 %, and if it
 lowers the disagreement of its camera by a tenth. Large corrections are underestimated: of a shift of
 10 cm, some centimetres may be missing. The standard error does not include this. Errors of many degrees
-need a new calibration. At least three cameras are needed.
+need a new calibration. At least three cameras are needed. A camera that is moved during the recording
+is not corrected (exit code 6): --start and --end choose the part after or before that.
 
 --out writes the calibration with the significant offsets (time_offset_ms) and corrections, for
 `solve --rig` and the node's `rig`. Check it on another recording with `solve --rig FILE --hold-out
@@ -44,6 +48,7 @@ CAMERA`.
 Examples:
   bundlemocap calibrate take.mcap
   bundlemocap calibrate take.mcap --out rig.toml
+  bundlemocap calibrate take.mcap --start 31 --out rig.toml
   bundlemocap calibrate take.mcap --time-only --json
   bundlemocap solve other.mcap --out out --rig rig.toml --hold-out cam01")]
 pub(super) struct Arguments {
@@ -57,6 +62,8 @@ pub(super) struct Arguments {
     /// Only estimate time offsets.
     #[arg(long)]
     time_only: bool,
+    #[command(flatten)]
+    span: SpanArguments,
     /// Up axis of the written calibration's world: x, y, z, -x, -y or -z.
     #[arg(long, default_value_t, allow_hyphen_values = true)]
     up: Up,
@@ -74,7 +81,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         check_ending(out, "toml")?;
     }
     let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
-    let mut recording = Recording::open(&arguments.file)?;
+    let times = Times::of(&arguments.file, Some(&config))?;
+    let mut recording = Recording::open(&arguments.file)?.within(arguments.span.within(&times)?);
     let options = Options { config: config.tracker, ..Options::default() };
     let mut progress = Progress::over(recording.messages());
     let found = check_cameras(&mut recording, &options, !arguments.time_only, &mut progress)?;
@@ -95,8 +103,15 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         complain("note", note);
     }
     if arguments.json {
-        let CheckedCameras { offsets, corrections, notes, .. } = &found;
-        let all = json!({ "time_offsets": offsets, "corrections": corrections, "notes": notes });
+        let CheckedCameras { offsets, corrections, notes, changed, .. } = &found;
+        let change = |ChangedCamera { camera, what, at }: &ChangedCamera| {
+            let at_s = at.seconds_since(times.first);
+            json!({ "camera": camera, "what": what, "at_s": at_s })
+        };
+        let all = json!({
+            "time_offsets": offsets, "corrections": corrections, "notes": notes,
+            "changed": changed.iter().map(change).collect::<Vec<_>>(),
+        });
         say(&format!("{all:#}"));
     } else {
         let offsets = found.offsets.iter().map(offset);
@@ -106,7 +121,13 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         write_calibration(out, &found.rig, arguments.up)?;
     }
-    Ok(lost(&recording))
+    for ChangedCamera { camera, what, at } in &found.changed {
+        let at = at.seconds_since(times.first);
+        let fix = format!("calibrate the part before or after {at:.1} s with --end or --start");
+        complain("warning", &format!("{camera}: {what}; it is not corrected: {fix}"));
+    }
+    let exit = lost(&recording);
+    Ok(if found.changed.is_empty() { exit } else { Exit::InPart })
 }
 
 fn offset(found: &CameraOffset) -> (String, String) {

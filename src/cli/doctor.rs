@@ -262,11 +262,9 @@ fn open(config: &Config, findings: &mut Findings) -> Option<Box<dyn Bus>> {
                 findings.good("bus", format!("no node yet; listening on {listen} in its place"));
                 let is_local = |address: &String| address.contains("127.0.0.1");
                 if config.bus.zenoh.listen.iter().all(is_local) {
-                    findings.doubtful(
-                        "bus",
-                        "other computers cannot connect; for them set [bus.zenoh] listen to \
-                         tcp/0.0.0.0:7447",
-                    );
+                    let public = listen.replace("127.0.0.1", "0.0.0.0");
+                    let text = "other computers cannot connect; for them set [bus.zenoh] listen to";
+                    findings.doubtful("bus", format!("{text} {public}"));
                 }
                 Some(bus)
             }

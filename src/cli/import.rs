@@ -395,9 +395,16 @@ impl Imported {
     fn find_unit(&mut self, arguments: &Arguments, path: &Path) -> Result<(), Failure> {
         let Calibration { unit, format, .. } = self.calibration;
         // COLMAP has no unit.
-        let is_open = arguments.convention.unit == Auto::default() && format != "COLMAP";
-        let Some(check) = self.check.as_ref().ok().filter(|_| is_open) else { return Ok(()) };
+        if format == "COLMAP" {
+            return Ok(());
+        }
+        let Ok(check) = self.check.as_ref() else { return Ok(()) };
         let Some(metres) = check.unit(unit.metres()) else { return Ok(()) };
+        if arguments.convention.unit != Auto::default() {
+            let fix = format!("with --unit {} the performer is an adult", Unit::of_metres(metres));
+            complain("note", &fix);
+            return Ok(());
+        }
         let height = check.performer_height_m.unwrap_or_default() / unit.metres();
         let found = Unit::of_metres(metres);
         let change = |how: &mut ConventionArguments| how.unit = Auto(Some(found));

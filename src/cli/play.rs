@@ -12,12 +12,17 @@ use super::failure::{Exit, Failure};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, progress, say, table, ticker};
 use crate::cli::tools::Disturbance;
+use crate::cli::tools::inbox::Inbox;
 use crate::cli::tools::player::{Clock, Playing, Sent, play};
 use crate::cli::tools::take::Take;
 use crate::core::time::{Nanos, Timestamp};
+use crate::io::wire::{CameraCounters, Status, Topics, decode};
 
 /// Time from opening the bus to the first frame, for publishers and subscribers to connect.
 const LEAD: Duration = Duration::from_millis(500);
+
+/// After this time a node has told twice what it receives.
+const PATIENCE: Nanos = Nanos::from_ms(3000);
 
 /// Publish the keypoints of a recording in real time, as its cameras would.
 #[derive(Debug, Args)]
@@ -149,7 +154,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         true => ticker(),
         false => progress(take.frames() as u64, "frames"),
     };
-    let sent = play(&take, &how, &*bus, &topics(&config), &clock, |sent| {
+    let topics = topics(&config);
+    let of_nodes = Topics { actor: "*".into(), ..topics.clone() };
+    let statuses = Inbox::open(&*bus, &of_nodes.status())?;
+    let sent = play(&take, &how, &*bus, &topics, &clock, |sent| {
         bar.set_position(sent.all());
         if how.repeat && sent.all().is_multiple_of(100) {
             bar.set_message(format!("{} frames", sent.all()));
@@ -157,7 +165,29 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     })?;
     bar.finish_and_clear();
     say(&table(&rows(&take, &sent)));
+    if sent.lasted >= PATIENCE {
+        let unheard = unheard(&take, &statuses).join(", ");
+        if !unheard.is_empty() {
+            let why = "may this program publish there ([bus.zenoh] config)?";
+            complain("warning", &format!("no frame of {unheard} has reached the node: {why}"));
+        }
+    }
     Ok(Exit::Done)
+}
+
+/// The cameras from which the nodes had no frame, as their statuses say.
+fn unheard<'a>(take: &'a Take, statuses: &Inbox) -> Vec<&'a str> {
+    let statuses = std::iter::from_fn(|| statuses.next(Duration::ZERO));
+    let statuses: Vec<Status> =
+        statuses.filter_map(|received| decode(&received.sample.payload).ok()).collect();
+    let unheard = |name: &&str| {
+        let counters = statuses.iter().flat_map(|status| &status.cameras);
+        let mut own = counters.filter(|one| one.camera == *name).peekable();
+        let is_unheard =
+            |one: &CameraCounters| one.rate_hz == 0.0 && one.unusable + one.dropped == 0;
+        own.peek().is_some() && own.all(is_unheard)
+    };
+    take.cameras.iter().map(|camera| camera.name.as_str()).filter(unheard).collect()
 }
 
 /// The time of the first frame.

@@ -234,10 +234,10 @@ fn record(
                 answers.say(recorder.write(entry(received))?);
             }
             None if stop.is_set() || is_full => break,
-            None => {}
+            // All that came before is written.
+            None => answers.say(recorder.tick(clock.now())?),
         }
         answers.announce(recorder.running());
-        answers.say(recorder.tick(clock.now())?);
         if flushed.elapsed() >= FLUSH {
             flushed = Instant::now();
             let free = room();
@@ -303,7 +303,7 @@ fn rows(path: &Path, recorded: &Recorded, elapsed: Duration) -> Vec<(String, Str
     let topics = recorded.topics.iter().map(|(topic, count)| {
         let missing = match recorded.numbers.missing(topic) {
             0 => String::new(),
-            missing => format!(", {missing} frames did not come"),
+            missing => format!(", {missing} frames are missing"),
         };
         (topic.to_string(), format!("{count} messages{missing}"))
     });

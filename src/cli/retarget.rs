@@ -63,7 +63,7 @@ pub(super) struct Arguments {
     #[command(flatten)]
     overwrite: Overwrite,
     /// Read a solved recording instead of the bus.
-    #[arg(long, value_name = "MCAP", requires = "out")]
+    #[arg(long, value_name = "MCAP", requires = "out", conflicts_with_all = ["name", "bus", "connect", "stage", "config"])]
     from: Option<PathBuf>,
     #[command(flatten)]
     span: SpanArguments,

@@ -119,7 +119,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "NAME", requires = "body")]
     body_actor: Option<String>,
     /// Report the distance to these marker trajectories (TRC with y up, or C3D; frames as in the recording); with
-    /// several files, that of each performer to the nearest.
+    /// several files, separated by commas, that of each performer to the nearest.
     #[arg(long, value_name = "FILE", value_delimiter = ',')]
     reference: Vec<PathBuf>,
     /// TOML file that names the markers of each point for --reference. Below [points],

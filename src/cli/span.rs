@@ -19,7 +19,7 @@ const SEARCHED: Nanos = Nanos::from_ms(5000);
 /// The part of a recording that is used.
 #[derive(Debug, Args)]
 pub(super) struct SpanArguments {
-    /// Begin here: seconds since the recording's first frame, frames such as 240f (`export` alone), or a
+    /// Begin here: seconds since the recording's first frame, frames such as 240f (`export` and `retarget`), or a
     /// timecode such as 01:00:00:00, with [timecode] in the settings or in those of the recording.
     #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     start: Option<String>,
@@ -113,14 +113,15 @@ impl Times {
     fn time(&self, text: &str) -> Result<Timestamp, String> {
         if text.contains(':') {
             let house = self.house.ok_or(
-                "the recording has no timecode; give seconds, or solve it with [timecode] in --config",
+                "no timecode is known; give seconds, or [timecode] in the --config of `play` or `solve`",
             )?;
             return house.capture(text, self.first).map_err(|error| error.to_string());
         }
         let (number, unit) = match text.strip_suffix('f') {
             Some(frames) => {
-                let rate =
-                    self.rate.ok_or("give seconds or a timecode; only `export` counts frames")?;
+                let rate = self.rate.ok_or(
+                    "give seconds or a timecode; only `export` and `retarget` count frames",
+                )?;
                 (frames.parse::<u32>().map(f64::from).ok(), 1.0 / rate)
             }
             None => (text.parse::<f64>().ok(), 1.0),
@@ -146,9 +147,12 @@ impl Times {
         }
     }
 
-    /// The file beside another that has its timecode, if there is one.
+    /// The file beside another that has its timecode, if there is one: `take1.timecode.txt` of take1.bvh,
+    /// `take1.trc.timecode.txt` of take1.trc.
     pub(super) fn sidecar(&self, file: &Path) -> Option<PathBuf> {
-        self.house.map(|_| file.with_extension("timecode.txt"))
+        let is_bvh = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"));
+        let stem = if is_bvh { file.with_extension("") } else { file.to_owned() };
+        self.house.map(|_| PathBuf::from(format!("{}.timecode.txt", stem.display())))
     }
 
     /// Timecode and rate of a frame, or else of the first one, if there is a timecode.

@@ -90,7 +90,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 /// Solves each recording into a folder of its own.
 fn each(arguments: &Arguments, prepared: &Prepared) -> Ended {
     if arguments.json {
-        let message = "--json is of one recording; `bundlemocap summary DIR --json` prints several";
+        let message = "--json is of one recording without --jobs; `bundlemocap summary DIR --json` prints several";
         return Err(Failure::new(Exit::Usage, message));
     }
     let takes = takes(&arguments.files, &arguments.out)?;

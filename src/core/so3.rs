@@ -5,7 +5,7 @@
 //! Formulas: \[Sola 2018\], eq. 143 to 146.
 
 use libm::{atan2, cos, hypot, sin, sincos};
-use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, RealField, Rotation3, UnitQuaternion, Vector3};
 
 /// Below this angle (radians) series replace the closed forms.
 const SMALL_ANGLE: f64 = 1e-5;
@@ -56,6 +56,12 @@ pub fn rotation_from_xyzw(xyzw: [f64; 4]) -> Option<Matrix3<f64>> {
 pub fn xyzw_from_rotation(r: &Matrix3<f64>) -> [f64; 4] {
     let q = quaternion(r);
     [q.i, q.j, q.k, q.w]
+}
+
+/// Of the two quaternions of a rotation the one nearer to `last`.
+pub fn continued<T: RealField + Copy>(turn: [T; 4], last: &[T; 4]) -> [T; 4] {
+    let dot = turn.iter().zip(last).fold(T::zero(), |sum, (&a, &b)| sum + a * b);
+    if dot < T::zero() { turn.map(|number| -number) } else { turn }
 }
 
 /// As [`xyzw_from_rotation`], but rounded to 2^-44, so that the rotation of this quaternion has the
@@ -189,7 +195,8 @@ pub fn nearest_turns<const N: usize>(angles: [f64; N], last: [f64; N]) -> [f64; 
     std::array::from_fn(|i| angles[i] + TAU * ((last[i] - angles[i]) / TAU).round())
 }
 
-fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+/// The sum of the differences of three angles, radians.
+pub fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum()
 }
 

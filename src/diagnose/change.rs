@@ -145,7 +145,8 @@ fn described(scene: &Scene, split: Split, camera: usize, hypothesis: Hypothesis)
     let middle =
         scene.instants[before] + Nanos::new((scene.instants[at] - scene.instants[before]).ns() / 2);
     let seconds = scene.start.map_or(0.0, |start| middle.seconds_since(start));
-    let Hypothesis { finding: Finding { cause, what, fix }, reading, .. } = hypothesis;
+    let changes_at_ns = Some(middle.ns());
+    let Hypothesis { finding: Finding { cause, what, fix, .. }, reading, .. } = hypothesis;
     let late = reading.clock.late;
     if cause == "time_shift" {
         let frames = late.ns() / scene.periods[camera].ns().max(1);
@@ -159,8 +160,12 @@ fn described(scene: &Scene, split: Split, camera: usize, hypothesis: Hypothesis)
         // Between the last frame of the first part and the first one of the second part.
         let at = middle - reading.camera.time_offset + Nanos::new(late.ns() / 2);
         let only = Some((at, if is_first_bad { Only::Before } else { Only::From }));
-        return (finding, Some(WrongTimes { clock: reading.clock, only }));
+        return (
+            Finding { changes_at_ns, ..finding },
+            Some(WrongTimes { clock: reading.clock, only }),
+        );
     }
     let when = if is_first_bad { "until" } else { "from" };
-    (Finding { cause, what: format!("{when} about {seconds:.1} s, {what}"), fix }, None)
+    let what = format!("{when} about {seconds:.1} s, {what}");
+    (Finding { cause, what, fix, changes_at_ns }, None)
 }

@@ -16,6 +16,8 @@ pub struct Finding {
     pub what: String,
     /// What fixes it; empty if that is not known.
     pub fix: String,
+    /// Capture time when it begins or ends, nanoseconds; `None`: it is there in the whole recording.
+    pub changes_at_ns: Option<i64>,
 }
 
 impl Finding {
@@ -24,7 +26,7 @@ impl Finding {
         what: impl Into<String>,
         fix: impl Into<String>,
     ) -> Self {
-        Self { cause, what: what.into(), fix: fix.into() }
+        Self { cause, what: what.into(), fix: fix.into(), changes_at_ns: None }
     }
 }
 

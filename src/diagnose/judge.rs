@@ -286,7 +286,7 @@ fn common<'a>(scene: &Scene<'a>) -> Option<Judged<'a>> {
         let readings = by_camera.iter().map(|all| all[k].reading.clone()).collect();
         let scene = scene.with(readings);
         let consensus = scene.agree()?;
-        let Finding { cause, what, fix } = &by_camera[0][k].finding;
+        let Finding { cause, what, fix, .. } = &by_camera[0][k].finding;
         let finding = Finding::new(cause, format!("of each camera: {what}"), &**fix);
         let findings = vec![None; scene.cameras()];
         Some(Judged { scene, consensus, findings, general: vec![finding] })

@@ -7,7 +7,9 @@ use super::first_pass::{CameraOffset, FirstPass};
 use super::options::{Observer, Options};
 use super::recording::Recording;
 use crate::core::calibration::{self, Correction};
-use crate::core::camera::{Camera, Rig};
+use crate::core::camera::Rig;
+use crate::core::time::Timestamp;
+use crate::diagnose::Finding;
 
 /// A camera's small correction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -30,6 +32,19 @@ pub struct CheckedCameras {
     pub corrections: Vec<CameraCorrection>,
     /// What else is wrong with their times; no calibration can correct it, [`solve`](super::solve) does.
     pub notes: Vec<String>,
+    /// Cameras that change during the recording, for example because they are moved: they are not corrected.
+    pub changed: Vec<ChangedCamera>,
+}
+
+/// A camera that changes during a recording: no calibration is right before and after it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ChangedCamera {
+    /// The camera.
+    pub camera: String,
+    /// How, for people; a time in it counts from the first used frame.
+    pub what: String,
+    /// Capture time of the change.
+    pub at: Timestamp,
 }
 
 /// Estimates the time offsets of a recording's cameras and, if wanted, corrects the cameras after
@@ -47,17 +62,27 @@ pub fn check_cameras(
     let period = recording.frame_period(&rig)?;
     let pass = FirstPass::run(recording, options, &mut rig, period, &mut [], observer)?;
     pass.lead(recording)?;
-    let mut corrections = Vec::new();
+    let (mut corrections, mut changed) = (Vec::new(), Vec::new());
     if refine {
-        let found;
-        (rig.cameras, found) = calibration::refine(&pass.tracks().1, &rig.cameras);
-        let all = rig.cameras.iter().zip(found);
-        let named = |(camera, correction): (&Camera, _)| CameraCorrection {
-            camera: camera.name.clone(),
-            correction,
-        };
-        corrections = all.map(named).collect();
+        let (cameras, found) = calibration::refine(&pass.tracks().1, &rig.cameras);
+        let check = pass.evidence.check(&rig);
+        let all = rig.cameras.iter_mut().zip(cameras).zip(found).zip(check.cameras);
+        for (((camera, corrected), correction), check) in all {
+            let name = camera.name.clone();
+            let change = |finding: &Finding| Some((finding.what.clone(), finding.changes_at_ns?));
+            // Wrong times are corrected.
+            let change = check.findings.iter().find_map(change).filter(|_| check.times.is_none());
+            match change {
+                Some((what, ns)) => {
+                    changed.push(ChangedCamera { camera: name, what, at: Timestamp::from_ns(ns) });
+                }
+                None => {
+                    corrections.push(CameraCorrection { camera: name, correction });
+                    *camera = corrected;
+                }
+            }
+        }
     }
     let rig = recording.rig_with(rig.cameras.iter());
-    Ok(CheckedCameras { rig, offsets: pass.offsets, corrections, notes: pass.notes })
+    Ok(CheckedCameras { rig, offsets: pass.offsets, corrections, notes: pass.notes, changed })
 }

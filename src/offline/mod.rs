@@ -42,7 +42,7 @@ mod truth;
 mod windows;
 
 pub use body::{TakeBody, estimate_body};
-pub use calibrate::{CameraCorrection, CheckedCameras, check_cameras};
+pub use calibrate::{CameraCorrection, ChangedCamera, CheckedCameras, check_cameras};
 pub use check::check;
 pub use error::Error;
 pub use first_pass::{CameraOffset, first_pass_settings};

@@ -188,8 +188,8 @@ impl Retarget {
     fn hips_position(&self, fitted: &Fitted, posture: &Posture, figure: &Figure) -> Vector3<f64> {
         let mut hips = Vector3::zeros();
         for joint in [Joint::LHip, Joint::RHip] {
-            let mut wanted = posture.positions[joint.index()] * fitted.scale;
-            wanted.y *= fitted.legs / fitted.scale;
+            let scale = Vector3::new(fitted.scale, fitted.legs, fitted.scale);
+            let wanted = posture.positions[joint.index()].component_mul(&scale);
             let own = self.mapping.joint(joint).map(|index| figure.positions[index]);
             hips += 0.5 * (wanted - own.unwrap_or_default());
         }

@@ -21,7 +21,7 @@ pub enum Up {
 /// A map file:
 ///
 /// ```toml
-/// scale = 1.05       # movement, target over ours; default: ratio of the leg lengths
+/// scale = 1.05       # movement over the floor, target over ours; default: ratio of the leg lengths
 /// unit = "cm"        # m, dm, cm, mm, inch, foot, or a number of metres; default: guessed
 /// up = "z"           # up axis of the file's world, y or z; default: from the zero pose
 /// [joints]

@@ -165,7 +165,8 @@ impl Mapping {
         // In Biped the legs hang from the spine.
         let legs = [Joint::LHip, Joint::RHip].map(|hip| self.joint(hip));
         let carries = |at: usize| legs.iter().flatten().any(|&hip| target.is_below(hip, at));
-        for &joint in trunk[1..].iter().filter(|&&joint| carries(joint)) {
+        let is_free = |joint: &&usize| **joint != chest && !named.contains(&Some(**joint));
+        for &joint in trunk[1..].iter().filter(is_free).filter(|&&joint| carries(joint)) {
             self.follow[joint] = Follow::Ours(Pelvis, Pelvis, 0.0);
         }
         self.share_neck(target, chest, named)?;

@@ -13,7 +13,7 @@ use crate::io::formats::bvh::{Bvh, BvhError, BvhJoint, Channel};
 /// Typical leg length, hip to knee to ankle, for guessing units, metres.
 const LEG: f64 = 0.83;
 /// The same of children and tall adults.
-const LEGS: std::ops::Range<f64> = 0.4..1.4;
+const LEGS: std::ops::Range<f64> = 0.42..1.4;
 /// Unit of the CMU database's skeletons, 1 / 0.45 inches, in metres.
 const CMU_UNIT: f64 = 0.056_444;
 /// Directions within this angle of an axis snap to it, cosine of 20 degrees.

@@ -752,8 +752,14 @@ fn messages_with_stamps_out_of_order_are_received() {
             foreign.put(topic, "x").timestamp(stamp).wait().unwrap();
         }
     }
+    let own = node.publisher("mocap/f/rig").unwrap();
+    put(&*own, 1, b"own");
+    let end = 1000_i64;
+    foreign.put("mocap/f/rig", "end").attachment(end.to_le_bytes()).wait().unwrap();
     for (inbox, count) in inboxes.iter().zip([3, 6]) {
-        (0..count).for_each(|_| drop(inbox.next()));
+        let payloads = inbox.until(end);
+        let of = |what: &[u8]| payloads.iter().filter(|payload| *payload == what).count();
+        assert_eq!((of(b"x"), of(b"own"), payloads.len()), (count, 1, count + 1));
     }
 }
 

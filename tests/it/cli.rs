@@ -451,6 +451,30 @@ fn what_is_wrong_with_a_camera_is_in_the_poses() {
 }
 
 #[test]
+fn a_camera_that_was_moved_during_the_recording_is_not_corrected() {
+    let place = Place::new();
+    place.done("synth --seconds 16 --noise clean --bump 8 --out bumped.mcap");
+    let corrected = |output: &Output| -> Vec<String> {
+        let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let all = json["corrections"].as_array().unwrap().iter();
+        let all = all.filter(|one| one["significant"] == true);
+        all.map(|one| one["camera"].as_str().unwrap().to_owned()).collect()
+    };
+    let whole = place.run("calibrate bumped.mcap --json");
+    let errors = String::from_utf8_lossy(&whole.stderr);
+    assert_eq!(whole.status.code(), Some(6), "{errors}");
+    assert!(errors.contains("warning: cam04: from about "), "{errors}");
+    assert_eq!(corrected(&whole), Vec::<String>::new());
+    let late = place.run("calibrate bumped.mcap --start 2 --json");
+    for output in [&whole, &late] {
+        let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert!((7.5..8.5).contains(&number(&json, "/changed/0/at_s")), "{json}");
+    }
+    let part = place.run("calibrate bumped.mcap --start 8.5 --json");
+    assert_eq!((part.status.code(), corrected(&part)), (Some(0), vec!["cam04".to_owned()]));
+}
+
+#[test]
 fn feet_of_a_walk_stand() {
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
     let place = Place::new();
@@ -1246,6 +1270,7 @@ fn poses_are_exported_at_another_rate_in_place_and_in_part() {
     for (options, reason) in [
         ("--out b.glb --up z", ".glb: --up is for .bvh, .trc, .c3d, .csv"),
         ("--out b.npz --rest a", ".npz: --rest is for .glb, .usda, .bvh, .csv"),
+        ("--out b.glb --figures 3", "--figures is for .svg"),
         ("--out b.mcap --in-place", "a .mcap holds the whole recording"),
         (
             "--out b.csv --start 900f",

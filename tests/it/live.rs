@@ -1309,7 +1309,7 @@ fn other_cameras_do_not_change_the_latency() {
     let world = after(messages, 14.0);
     let events = world.heard.events();
     assert_eq!((events["rig_changed"], events["acquired"]), (2, 2), "{events:?}");
-    assert!(events.contains_key("late"), "frames that waited are counted: {events:?}");
+    assert!(events.contains_key("abandoned"), "frames that waited are counted: {events:?}");
     let latencies = world.heard.details("latency");
     assert_eq!(latencies.len(), 1, "{latencies:?}");
 }

@@ -291,8 +291,8 @@ fn judge(case: &Case) -> Option<String> {
         heard.events.iter().map(|(t, kind, detail)| format!("{t:.2} {kind}{detail}")).collect()
     };
     // What single frames and windows were, and that the performer was found again, is no news.
-    let small =
-        ["late", "out_of_order", "duplicate", "missing", "acquired", "coasted", "lost", "deadline"];
+    let of_frames = ["late", "abandoned", "out_of_order", "duplicate", "missing"];
+    let small = [&of_frames[..], &["acquired", "coasted", "lost", "deadline"]].concat();
     let mut main: Vec<&str> = Vec::new();
     for (kind, count) in kinds {
         if !small.contains(&kind) {

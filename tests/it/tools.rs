@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use bundlemocap::core::body::Skeleton;
 use bundlemocap::core::time::Timestamp;
-use bundlemocap::io::bus::{Bus, Zenoh, ZenohConfig};
+use bundlemocap::io::bus::{Bus, Sample, Zenoh, ZenohConfig};
 use bundlemocap::io::recording::{Provenance, RawEntry, Reader, Writer};
-use bundlemocap::io::wire::{self, Topics, encode, media_type};
+use bundlemocap::io::wire::{self, Schema, Take, TakeAnswer, Topics, encode, media_type};
 use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -56,12 +56,15 @@ impl Place {
 
     /// `record`, after its first line of standard error: it listens.
     fn recorder(&self, name: &str) -> Running {
-        let mut command = self.command(&format!("record {name}"));
+        Self::listening(self.command(&format!("record {name}")))
+    }
+
+    fn listening(mut command: Command) -> Running {
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         let mut errors = BufReader::new(child.stderr.take().unwrap());
         errors.read_line(&mut line).unwrap();
-        assert!(line.starts_with("recording mocap/stage/** to"), "{line}");
+        assert!(line.starts_with("recording ") && line.contains("mocap/stage/** to"), "{line}");
         Running(child, errors)
     }
 }
@@ -71,14 +74,19 @@ struct Running(Child, BufReader<std::process::ChildStderr>);
 
 impl Running {
     /// Sends SIGINT and waits; returns its output.
-    fn interrupt(mut self) -> String {
+    fn interrupt(self) -> String {
+        self.interrupted(0)
+    }
+
+    /// The same, with that exit code.
+    fn interrupted(mut self, code: i32) -> String {
         let pid = self.0.id().to_string();
         assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
         let mut printed = String::new();
         self.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
         let mut errors = String::new();
         self.1.read_to_string(&mut errors).unwrap();
-        assert_eq!(self.0.wait().unwrap().code(), Some(0), "{errors}");
+        assert_eq!(self.0.wait().unwrap().code(), Some(code), "{errors}");
         printed
     }
 }
@@ -170,6 +178,85 @@ fn played_messages_are_recorded_byte_for_byte() {
     }
     let again = place.command("record take.mcap").output().unwrap();
     fails(&again, 2, "--overwrite");
+}
+
+#[test]
+fn a_player_that_no_node_hears_is_told() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"));
+    let publisher = place.router.publisher(&Topics::default().status()).unwrap();
+    let cameras = [("cam01", 60.0), ("cam02", 0.0), ("other", 0.0)].map(|(camera, rate_hz)| {
+        wire::CameraCounters { camera: camera.into(), rate_hz, ..wire::CameraCounters::default() }
+    });
+    let status = wire::Status { cameras: cameras.into(), ..wire::Status::default() };
+    let encoding = media_type(wire::Status::FULL_NAME);
+    publisher.put(Timestamp::default(), &encoding, &encode(&status)).unwrap();
+    for (speed, lasted) in [("0.1", true), ("1", false)] {
+        let played = place.command(&format!("play walk.mcap --speed {speed}")).output().unwrap();
+        let errors = String::from_utf8_lossy(&played.stderr);
+        let told = errors.contains("no frame of cam02 has reached the node: may this program");
+        assert_eq!((played.status.code(), told), (Some(0), lasted), "{errors}");
+    }
+}
+
+#[test]
+fn a_take_that_cannot_be_written_does_not_end_the_recorder() {
+    let place = Place::new();
+    let topics = Topics::default();
+    let (sender, answers) = std::sync::mpsc::channel();
+    let sink = Box::new(move |sample: Sample| drop(sender.send(sample)));
+    let _answers = place.router.subscribe(&topics.take_answers(), sink).unwrap();
+    // A file may have at most 100 to 200 kB.
+    let mut command = Command::new("sh");
+    command.args([
+        "-c",
+        r#"trap '' XFSZ; ulimit -f 200; exec "$0" "$@""#,
+        PROGRAM,
+        "record",
+        "takes/",
+    ]);
+    command.args(["--connect", &place.router.listens_on()[0]]).current_dir(place.folder.path());
+    let recorder = Place::listening(command);
+    let answer = |id: u64| -> TakeAnswer {
+        let begin = Instant::now();
+        loop {
+            let sample = answers.recv_timeout(PATIENCE).expect("an answer");
+            let answer: TakeAnswer = wire::decode(&sample.payload).unwrap();
+            if answer.id == id && answer.free_bytes == 0 {
+                return answer;
+            }
+            assert!(begin.elapsed() < PATIENCE);
+        }
+    };
+    let takes = place.router.publisher(&topics.take()).unwrap();
+    let put = |id: u64, action: &str, name: &str| {
+        let take = Take { id, action: action.into(), name: name.into(), ..Take::default() };
+        takes.put(Timestamp::default(), &media_type(Take::FULL_NAME), &encode(&take)).unwrap();
+    };
+    put(1, "start", "large");
+    assert!(!answer(1).refused);
+    let mut random = 1_u64;
+    let mut byte = || {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (random >> 56) as u8
+    };
+    let payload: Vec<u8> = (0..1_000_000).map(|_| byte()).collect();
+    let other = place.router.publisher("mocap/stage/mixer/gain").unwrap();
+    other.put(Timestamp::default(), "", &payload).unwrap();
+    let told = answer(0);
+    assert!(
+        told.refused && told.text.contains("large.mcap: what follows is not recorded"),
+        "{told:?}"
+    );
+    put(2, "stop", "large");
+    let told = answer(2);
+    assert!(told.refused && told.text.contains("large.mcap is not complete"), "{told:?}");
+    put(3, "start", "small");
+    assert!(!answer(3).refused);
+    put(4, "stop", "small");
+    assert!(!answer(4).refused);
+    assert_eq!(raw(&place.path("takes/small.mcap")).1, 0);
+    recorder.interrupted(6);
 }
 
 #[test]

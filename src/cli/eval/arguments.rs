@@ -220,10 +220,11 @@ pub(super) struct Views {
     /// Frame rate of the cameras, 1 to 1000 Hz [protocol: 50].
     #[arg(long, value_name = "HZ", value_parser = ratio, allow_negative_numbers = true)]
     pub(super) fps: Option<f64>,
-    /// Rigs: h36m, h36m-s11, 3dhp, ring2 to ring64; several are used in turn [h36m; ring4 for performers].
+    /// Rigs: h36m, h36m-s11, 3dhp, ring2 to ring64; several are used in turn [h36m if its
+    /// file is there, else ring4; ring4 for performers].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) rig: Vec<String>,
-    /// File with the Human3.6M cameras; default: in the folder of the variable BUNDLEMOCAP_DATA, or in
+    /// File with the Human3.6M cameras, JSON with intrinsics, extrinsics_S9_S11 and res; default: in the folder of the variable BUNDLEMOCAP_DATA, or in
     /// ../shared.
     #[arg(long, value_name = "FILE")]
     pub(super) h36m: Option<PathBuf>,

@@ -36,7 +36,7 @@ pub(super) struct Setup {
 impl Setup {
     /// Reads protocol, weights, rigs and motions.
     pub(super) fn new(motions: &Motions) -> Result<Self, Failure> {
-        Self::of(motions, false, RIG)
+        Self::of(motions, false, usual_rig(motions))
     }
 
     /// As [`Setup::new`], for crowds: of their rig only the number of cameras counts, so it needs no file.
@@ -46,7 +46,7 @@ impl Setup {
 
     /// As [`Setup::new`], with the clips of all subjects that are not named.
     pub(super) fn of_others(motions: &Motions) -> Result<Self, Failure> {
-        Self::of(motions, true, RIG)
+        Self::of(motions, true, usual_rig(motions))
     }
 
     fn of(motions: &Motions, others: bool, rig_without_protocol: &str) -> Result<Self, Failure> {
@@ -265,6 +265,18 @@ fn usable(subjects: Vec<Subject>, protocol: &Protocol) -> Vec<Subject> {
         );
     }
     usable
+}
+
+/// The rig without a protocol: without the file with the Human3.6M cameras a ring, with a note.
+fn usual_rig(Motions { views, .. }: &Motions) -> &'static str {
+    if views.h36m.is_some() || known_h36m().is_some() {
+        return RIG;
+    }
+    if views.rig.is_empty() && views.protocol.is_none() {
+        let text = "the cameras are ring4; for those of Human3.6M give their file with --h36m";
+        complain("note", text);
+    }
+    "ring4"
 }
 
 fn known_h36m() -> Option<PathBuf> {

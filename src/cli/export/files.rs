@@ -48,13 +48,16 @@ impl Format {
     pub(super) fn beside(self, path: &Path, one: &Motion, export: &Export) -> Vec<(PathBuf, bool)> {
         let timecode = export.times.sidecar(path).filter(|_| !self.has_timecode());
         let more = match self {
-            Self::Bvh | Self::Glb | Self::Usda | Self::Mot => {
-                Some((states_of(path), export.lost == Lost::Mark))
-            }
+            _ if self.is_animation() => Some((states_of(path), export.lost == Lost::Mark)),
             Self::Trc | Self::C3d => Some((deviations_of(path), has_deviations(one))),
             _ => None,
         };
         timecode.map(|path| (path, true)).into_iter().chain(more).collect()
+    }
+
+    /// Whether a file does not say itself which poses are lost.
+    pub(super) fn is_animation(self) -> bool {
+        matches!(self, Self::Bvh | Self::Glb | Self::Usda | Self::Mot)
     }
 
     /// Whether a timecode is in the file itself, or has no meaning for it.

@@ -187,8 +187,6 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         several = solved.performers.len() > 1;
         let changes = &arguments.options.changes;
         start = cut(&mut solved.performers, &arguments.span, changes, &mut times)?;
-        let notes = solved.performers.iter().filter_map(|one| changes.note_lost(one));
-        notes.for_each(|text| complain("note", &text));
     }
     let export = Export {
         times,
@@ -214,6 +212,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         paths.extend(besides);
     }
     check(&paths, arguments)?;
+    if of_one.iter().any(|(_, format, _)| format.is_animation()) {
+        let notes = |one| arguments.options.changes.note_lost(one);
+        solved.performers.iter().filter_map(notes).for_each(|text| complain("note", &text));
+    }
     for path in whole {
         solved.damage = write_foxglove(&arguments.file, &path)?;
     }
@@ -426,4 +428,22 @@ pub(super) fn read(file: &Path, truth: bool, actor: Option<&str>) -> Result<Solv
         }
     }
     Ok(Solved { performers, damage: report.losses() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_performers_name_stands_before_the_whole_ending() {
+        let of_p1 = |path: &str| path_of(Path::new(path), Some(&"p1".to_owned()));
+        for (path, named) in [
+            ("a/take.v2.bvh", "a/take.v2.p1.bvh"),
+            ("take.angles.csv", "take.p1.angles.csv"),
+            ("take.dat", "take.p1.dat"),
+            ("take", "take.p1"),
+        ] {
+            assert_eq!(of_p1(path), Path::new(named));
+        }
+    }
 }

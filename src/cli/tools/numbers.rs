@@ -1,4 +1,4 @@
-//! Frames that did not come, by the cameras' own numbers.
+//! Frames that are missing, by the cameras' own numbers.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -13,81 +13,91 @@ const LONGEST_GAP: u64 = 100_000;
 
 /// The numbers of a camera since its program was started.
 #[derive(Clone, Debug, PartialEq)]
-struct Camera {
+struct Run {
     first: u64,
     highest: u64,
-    /// The smallest way ahead: some detectors use every second image.
-    step: u64,
-    came: u64,
+    count: u64,
+    /// How often the next number was so far ahead. Some detectors use every second image.
+    ways: BTreeMap<u64, u64>,
     /// The last numbers; some frames come twice.
     recent: VecDeque<u64>,
 }
 
-impl Camera {
+impl Run {
     fn new(frame: u64) -> Self {
-        let recent = VecDeque::from([frame]);
-        Self { first: frame, highest: frame, step: u64::MAX, came: 1, recent }
+        let (ways, recent) = (BTreeMap::new(), VecDeque::from([frame]));
+        Self { first: frame, highest: frame, count: 1, ways, recent }
     }
 
-    /// Whether it is a number of the same run.
+    /// Whether it is a number of this run.
     fn fits(&self, frame: u64) -> bool {
-        (self.highest.saturating_sub(LATE)..=self.highest.saturating_add(LONGEST_GAP))
-            .contains(&frame)
+        let [from, to] =
+            [self.highest.saturating_sub(LATE), self.highest.saturating_add(LONGEST_GAP)];
+        (from..=to).contains(&frame)
     }
 
-    fn came(&mut self, frame: u64) {
+    fn add(&mut self, frame: u64) {
         if self.recent.contains(&frame) {
             return;
         }
-        if self.recent.len() as u64 == LATE {
+        if self.recent.len() as u64 > LATE {
             self.recent.pop_front();
         }
         self.recent.push_back(frame);
-        self.came += 1;
+        self.count += 1;
         self.first = self.first.min(frame);
         if frame > self.highest {
-            self.step = self.step.min(frame - self.highest);
+            *self.ways.entry(frame - self.highest).or_default() += 1;
             self.highest = frame;
         }
     }
 
     fn missing(&self) -> u64 {
-        ((self.highest - self.first) / self.step + 1).saturating_sub(self.came)
+        let usual = self.ways.iter().rev().max_by_key(|(_, count)| **count);
+        let step = usual.map_or(1, |(way, _)| *way);
+        ((self.highest - self.first) / step + 1).saturating_sub(self.count)
     }
 }
 
-/// The numbers of the cameras, by topic.
+/// The numbers of the cameras, by topic: the present run, and the missing frames of those before.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Numbers(BTreeMap<Arc<str>, (Camera, u64)>);
+pub(crate) struct Numbers(BTreeMap<Arc<str>, (Run, u64)>);
 
 impl Numbers {
     /// Notes a message.
-    pub(super) fn came(&mut self, entry: &RawEntry) {
-        let topic = Topic::parse(&entry.topic);
-        if !matches!(topic, Ok(Topic::Stage { channel: StageChannel::Keypoints { .. }, .. })) {
+    pub(super) fn add(&mut self, entry: &RawEntry) {
+        if camera_of(&entry.topic).is_none() {
             return;
         }
         let Ok(KeypointFrame { frame, .. }) = decode(&entry.payload) else { return };
-        let new = || (Camera::new(frame), 0);
-        let (camera, before) = self.0.entry(Arc::clone(&entry.topic)).or_insert_with(new);
-        if camera.fits(frame) {
-            camera.came(frame);
+        let new = || (Run::new(frame), 0);
+        let (run, before) = self.0.entry(Arc::clone(&entry.topic)).or_insert_with(new);
+        if run.fits(frame) {
+            run.add(frame);
         } else {
-            *before += camera.missing();
-            *camera = Camera::new(frame);
+            *before += run.missing();
+            *run = Run::new(frame);
         }
     }
 
-    /// Number of frames that did not come from the camera of that topic.
+    /// Number of missing frames of the camera of that topic.
     pub(crate) fn missing(&self, topic: &str) -> u64 {
-        self.0.get(topic).map_or(0, |(camera, before)| before + camera.missing())
+        self.0.get(topic).map_or(0, |(run, before)| before + run.missing())
     }
 
-    /// The cameras with such frames, and how many.
+    /// The cameras with missing frames, and how many.
     pub(super) fn all_missing(&self) -> impl Iterator<Item = (&str, u64)> {
         let missing = self.0.keys().map(|topic| (&**topic, self.missing(topic)));
         let missing = missing.filter(|(_, missing)| *missing > 0);
-        missing.filter_map(|(topic, missing)| Some((topic.split('/').rev().nth(1)?, missing)))
+        missing.filter_map(|(topic, missing)| Some((camera_of(topic)?, missing)))
+    }
+}
+
+/// The camera of a topic of keypoints.
+fn camera_of(topic: &str) -> Option<&str> {
+    match Topic::parse(topic) {
+        Ok(Topic::Stage { channel: StageChannel::Keypoints { camera }, .. }) => Some(camera),
+        _ => None,
     }
 }
 
@@ -104,23 +114,13 @@ mod tests {
         for frame in frames {
             let payload = encode(&KeypointFrame { frame, ..KeypointFrame::default() });
             let topic = Arc::clone(&topic);
-            numbers.came(&RawEntry {
-                topic,
-                schema: "".into(),
-                encoding: "".into(),
-                log_time: Timestamp::default(),
-                publish_time: Timestamp::default(),
-                payload,
-            });
+            let (schema, encoding) = ("".into(), "".into());
+            let [log_time, publish_time] = [Timestamp::default(); 2];
+            numbers.add(&RawEntry { topic, schema, encoding, log_time, publish_time, payload });
         }
         let missing = numbers.missing(&topic);
-        assert_eq!(
-            numbers.all_missing().collect::<Vec<_>>(),
-            match missing {
-                0 => vec![],
-                _ => vec![("a", missing)],
-            }
-        );
+        let all = if missing == 0 { vec![] } else { vec![("a", missing)] };
+        assert_eq!(numbers.all_missing().collect::<Vec<_>>(), all);
         missing
     }
 
@@ -131,6 +131,8 @@ mod tests {
         assert_eq!(missing((0..100).filter(|number| number % 2 == 0)), 0);
         assert_eq!(missing((0..100).step_by(2).filter(|number| ![8, 50].contains(number))), 2);
         assert_eq!(missing([1, 0, 2, 2, 4, 3, 5, 4, 8]), 2, "late ones and copies");
+        let slipped = (0..50).map(|k| 2 * k).chain((50..100).map(|k| 2 * k + 1));
+        assert_eq!(missing(slipped), 0, "every second image, and once the next one");
         let begun_again = [200, 201, 203].into_iter().chain(0..9).chain([u64::MAX - 1, u64::MAX]);
         assert_eq!(missing(begun_again), 1);
         assert_eq!(missing([]), 0);

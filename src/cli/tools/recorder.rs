@@ -30,7 +30,7 @@ const MOST_RECENT: usize = 65_536;
 pub(crate) struct Recorded {
     /// Messages by topic.
     pub(crate) topics: BTreeMap<Arc<str>, u64>,
-    /// The cameras' frames that did not come.
+    /// The numbers of the cameras' frames.
     pub(crate) numbers: Numbers,
     /// Messages on all topics.
     pub(crate) messages: u64,
@@ -53,7 +53,7 @@ impl Recorded {
         let messages = format!("{} messages", self.messages);
         match missing.is_empty() {
             true => messages,
-            false => format!("{messages}; frames that did not come: {}", missing.join(", ")),
+            false => format!("{messages}; missing frames: {}", missing.join(", ")),
         }
     }
 }
@@ -63,11 +63,16 @@ struct Open {
     path: PathBuf,
     writer: Writer,
     recorded: Recorded,
-    /// Whether somebody has removed or moved it.
-    is_gone: bool,
+    /// Why it will not be complete.
+    broken: Option<String>,
 }
 
 impl Open {
+    fn create(path: PathBuf, topics: &Topics, about: &Provenance) -> Result<Self, RecordError> {
+        let writer = Writer::live(&path, topics.clone(), about)?;
+        Ok(Self { path, writer, recorded: Recorded::default(), broken: None })
+    }
+
     fn write(&mut self, entry: &RawEntry) -> Result<(), RecordError> {
         match self.writer.write_raw(entry) {
             Err(RecordError::TooManyTopics { .. }) => self.recorded.skipped += 1,
@@ -75,16 +80,22 @@ impl Open {
                 done?;
                 self.recorded.messages += 1;
                 self.recorded.bytes += entry.payload.len() as u64;
-                self.recorded.numbers.came(entry);
+                self.recorded.numbers.add(entry);
                 *self.recorded.topics.entry(Arc::clone(&entry.topic)).or_default() += 1;
             }
         }
         Ok(())
     }
 
-    fn finish(self) -> Result<(PathBuf, Recorded), RecordError> {
-        self.writer.finish()?;
-        Ok((self.path, self.recorded))
+    /// Completes it; returns its path and what it has, or why it is not complete.
+    fn finish(self) -> Result<(PathBuf, Recorded), String> {
+        match self.broken {
+            Some(why) => Err(why),
+            None => {
+                self.writer.finish().map_err(|error| error.to_string())?;
+                Ok((self.path, self.recorded))
+            }
+        }
     }
 }
 
@@ -100,6 +111,15 @@ struct Ending {
     until: Timestamp,
     /// The command that ended it; `None`: the next take began, or the recording ended.
     command: Option<u64>,
+}
+
+/// The open files of takes.
+fn of_takes<'a>(
+    take: &'a mut Option<Running>,
+    ending: &'a mut [Ending],
+) -> impl Iterator<Item = &'a mut Open> {
+    let ending = ending.iter_mut().map(|ending| &mut ending.file);
+    take.iter_mut().map(|take| &mut take.file).chain(ending)
 }
 
 /// Something to say or to answer.
@@ -154,15 +174,7 @@ impl Recorder {
         topics: Topics,
         provenance: Provenance,
     ) -> Result<Self, RecordError> {
-        let open = |path: &Path| -> Result<Open, RecordError> {
-            let writer = Writer::live(path, topics.clone(), &provenance)?;
-            Ok(Open {
-                path: path.to_owned(),
-                writer,
-                recorded: Recorded::default(),
-                is_gone: false,
-            })
-        };
+        let open = |path: &Path| Open::create(path.to_owned(), &topics, &provenance);
         Ok(Self {
             all: file.map(open).transpose()?,
             topics,
@@ -184,10 +196,23 @@ impl Recorder {
         })
     }
 
-    fn files(&mut self) -> impl Iterator<Item = &mut Open> {
-        let ending = self.ending.iter_mut().map(|ending| &mut ending.file);
-        let take = self.take.iter_mut().map(|take| &mut take.file);
-        self.all.iter_mut().chain(take).chain(ending)
+    /// Does something with all open files. If it fails with that of a take, the others go on.
+    fn each(
+        &mut self,
+        act: impl Fn(&mut Open) -> Result<(), RecordError>,
+    ) -> Result<Vec<Said>, RecordError> {
+        self.all.as_mut().map_or(Ok(()), &act)?;
+        let mut said = Vec::new();
+        for file in of_takes(&mut self.take, &mut self.ending).filter(|file| file.broken.is_none())
+        {
+            if let Err(error) = act(file) {
+                let path = file.path.display();
+                let text = format!("{path}: what follows is not recorded: {error}");
+                said.push(Said::Answer(0, Err(text)));
+                file.broken = Some(error.to_string());
+            }
+        }
+        Ok(said)
     }
 
     /// Writes a message to the open files. First completes those whose time has come, and opens a file if a node says that
@@ -195,9 +220,7 @@ impl Recorder {
     pub(crate) fn write(&mut self, entry: RawEntry) -> Result<Vec<Said>, RecordError> {
         let mut said = self.tick(entry.log_time)?;
         said.extend(self.join(&entry)?);
-        for file in self.files() {
-            file.write(&entry)?;
-        }
+        said.extend(self.each(|file| file.write(&entry))?);
         self.room.wrote(entry.payload.len());
         self.silence.came(&entry.topic, entry.log_time);
         match Topic::parse(&entry.topic) {
@@ -326,17 +349,18 @@ impl Recorder {
         let path = self.free_path(&take.name);
         let mut provenance = self.provenance.clone();
         provenance.more.insert("take".into(), take.name.clone());
-        let writer = match Writer::live(&path, self.topics.clone(), &provenance) {
-            Ok(writer) => writer,
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mut file = match Open::create(path, &self.topics, &provenance) {
+            Ok(file) => file,
             Err(error) => return Ok(vec![Said::Answer(take.id, Err(error.to_string()))]),
         };
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let mut file = Open { path, writer, recorded: Recorded::default(), is_gone: false };
         let begin = now - MARGIN;
         // It may have come long before the take.
         let rig = self.rig.clone().map(|rig| RawEntry { log_time: begin, ..rig });
         for entry in rig.iter().chain(self.recent.iter().filter(|entry| entry.log_time >= begin)) {
-            file.write(entry)?;
+            if let Err(error) = file.write(entry) {
+                return Ok(vec![Said::Answer(take.id, Err(error.to_string()))]);
+            }
         }
         let free = free.map_or(String::new(), |free| format!(", {:.1} GB free", free as f64 / 1e9));
         let text = format!("recording to {}{free}", file.path.display());
@@ -368,12 +392,8 @@ impl Recorder {
         let mut said = Vec::new();
         for Ending { file, command, .. } in self.ending.extract_if(.., |take| now >= take.until) {
             let path = file.path.display().to_string();
-            let done = match file.is_gone {
-                true => Err("somebody has removed or moved it".to_owned()),
-                false => file.finish().map_err(|error| error.to_string()),
-            };
             // The other takes go on.
-            let done = match done {
+            let done = match file.finish() {
                 Ok((_, recorded)) => {
                     self.skipped += recorded.skipped;
                     Ok(format!("{path}: {}", recorded.text()))
@@ -400,14 +420,13 @@ impl Recorder {
         now: Timestamp,
         room: Option<u64>,
     ) -> Result<(Vec<Said>, bool), RecordError> {
-        let mut said = Vec::new();
+        let mut said = self.each(|file| file.writer.flush())?;
         let mut skipped = 0;
-        for file in self.files() {
-            file.writer.flush()?;
+        for file in self.all.iter_mut().chain(of_takes(&mut self.take, &mut self.ending)) {
             skipped += file.recorded.skipped;
             let part = part_of(&file.path);
-            if !file.is_gone && !part.exists() {
-                file.is_gone = true;
+            if file.broken.is_none() && !part.exists() {
+                file.broken = Some("somebody has removed or moved it".to_owned());
                 let text = format!("{} is gone: what is recorded there is lost", part.display());
                 said.push(Said::Warning(text));
             }
@@ -431,7 +450,7 @@ impl Recorder {
                     self.skipped += recorded.skipped;
                     format!("{}: {}", path.display(), recorded.text())
                 }
-                Err(error) => error.to_string(),
+                Err(why) => why,
             };
             let text = format!("take {name} ends before its time, the disk is full; {what}");
             said.push(Said::Answer(0, Err(text)));
@@ -453,8 +472,10 @@ impl Recorder {
         self.stop(None, Timestamp::default());
         let said = self.tick(Timestamp::from_ns(i64::MAX))?;
         let takes = Recorded { skipped: self.skipped, ..Recorded::default() };
-        let recorded = self.all.map(Open::finish).transpose()?;
-        let recorded = recorded.map_or(takes, |(_, recorded)| recorded);
+        let recorded = match self.all {
+            Some(Open { writer, recorded, .. }) => writer.finish().map(|_| recorded)?,
+            None => takes,
+        };
         Ok((Recorded { failed: self.failed, ..recorded }, said))
     }
 }

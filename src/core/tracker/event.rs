@@ -10,6 +10,8 @@ named! {
     pub enum EventKind {
         /// Detections arrived after their window was closed; they are not used.
         Late = "late",
+        /// Detections waited for a window when tracking began anew; they are not used.
+        Abandoned = "abandoned",
         /// A frame arrived twice; the second is not used.
         Duplicate = "duplicate",
         /// A frame arrived after a later one of its camera; it is used.

@@ -407,7 +407,7 @@ impl Intake {
         let counts = (0..self.cameras.len()).map(move |camera| (camera, waiting(camera)));
         counts.filter(|(_, count)| *count > 0).map(|(camera, count)| Event {
             capture: self.newest().unwrap_or_default(),
-            kind: EventKind::Late,
+            kind: EventKind::Abandoned,
             camera: Some(camera),
             window: None,
             count,

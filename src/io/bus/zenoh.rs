@@ -2,9 +2,12 @@
 //!
 //! | | streams | states |
 //! |---|---|---|
-//! | priority | real time, express | data |
+//! | priority | real time | data |
 //! | a full queue | waits 1 ms (tools: 20 ms), then drops until it has room | the same; missed samples are requested again |
 //! | late joiners | nothing | the last samples, from the publisher's cache |
+//!
+//! Streams are not *express*: each express message fills a place in the queues on its way, and a router with zenoh's own
+//! settings has two. Others share a place, and come up to 1 ms later.
 //!
 //! States are not sent with congestion control *block*: one stalled receiver would block the node,
 //! and so everybody's poses, for seconds. They carry sequence numbers; gaps are detected (at the latest
@@ -12,7 +15,8 @@
 //!
 //! On the wire a sample is a zenoh sample: payload, encoding, and the capture time as attachment,
 //! 8 bytes little endian. Samples of foreign publishers without attachment have capture time 0.
-//! Foreign publishers have no cache unless they are advanced publishers of zenoh-ext.
+//! Foreign publishers have no cache unless they are advanced publishers of zenoh-ext that number their samples
+//! (`sample_miss_detection`).
 //!
 //! Zenoh's time stamps are off. A foreign router may stamp the samples of all publishers with its own clock. Then
 //! zenoh-ext takes them for samples of one source and drops those that are out of order. So only numbered samples, those
@@ -153,9 +157,7 @@ impl Bus for Zenoh {
             .declare_publisher(topic.to_owned())
             .congestion_control(CongestionControl::Drop);
         let sender = match delivery(topic) {
-            Delivery::Stream => {
-                builder.priority(Priority::RealTime).express(true).wait().map(Sender::Stream)
-            }
+            Delivery::Stream => builder.priority(Priority::RealTime).wait().map(Sender::Stream),
             Delivery::State { history } => builder
                 .priority(Priority::Data)
                 .cache(CacheConfig::default().max_samples(history))

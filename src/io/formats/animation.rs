@@ -1,6 +1,6 @@
 //! The skin and the keys of an animation, for glTF and USD.
 
-use nalgebra::{Matrix3, RealField, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use super::style::Style;
 use crate::core::body::{JOINTS, Joint, Mesh, Pose, Skeleton};
@@ -83,12 +83,6 @@ pub(super) fn joint_weights(influences: &[(u8, f64); 4]) -> ([u8; INFLUENCES], [
     (named, kept.map(|joint| (weights[joint] / sum) as f32))
 }
 
-/// Of the two quaternions of a rotation the one nearer to `last`.
-pub(super) fn continued<T: RealField + Copy>(turn: [T; 4], last: &[T; 4]) -> [T; 4] {
-    let dot = turn.iter().zip(last).fold(T::zero(), |sum, (&a, &b)| sum + a * b);
-    if dot < T::zero() { turn.map(|number| -number) } else { turn }
-}
-
 /// The keys of an animation.
 #[derive(Default)]
 pub(super) struct Keys {
@@ -135,7 +129,7 @@ impl Keys {
         self.times.push([seconds]);
         self.positions.push(position);
         for (keys, turn) in self.rotations.iter_mut().zip(turns) {
-            keys.push(keys.last().map_or(*turn, |last| continued(*turn, last)));
+            keys.push(keys.last().map_or(*turn, |last| so3::continued(*turn, last)));
         }
     }
 

@@ -5,7 +5,8 @@
 //! dorsiflexion, extension of the back, adduction, and for both sides rotation inwards. Rotations that a joint of those
 //! models does not have are left out: knees, elbows and ankles bend about one axis. The upper arm turns about its own axis
 //! until the elbow's one axis brings the forearm where it is. The pelvis' place is that of our joint, not of the origin of
-//! the models' pelvis. With a level arm two of its angles are not unique (Euler's singularity) and may change fast.
+//! the models' pelvis. With a level arm two of its angles are not unique (Euler's singularity): they may change fast, and jump
+//! by half a turn once the others are much smaller.
 //!
 //! Source: Rajagopal et al., Full-body musculoskeletal model for muscle-driven simulation of human gait, 2016; the
 //! joints of `Rajagopal2016.osim`.
@@ -26,7 +27,8 @@ use crate::io::new_file;
 
 /// The turn of an upper arm is known where the forearm leaves its line by this part of its length.
 const SURE_SIDE: f64 = 0.3;
-/// Angles go on from the last ones if others are not smaller by their way, divided by this.
+/// Other angles replace those that go on from the last ones if their sum is smaller by more than the distance between
+/// both, divided by this.
 const SMALL: f64 = 1.5;
 /// Number of coordinates of a pose.
 const COORDINATES: usize = 27;
@@ -172,10 +174,8 @@ impl Angles {
 fn small_angles(turn: &Matrix3<f64>, last: [f64; 3]) -> [f64; 3] {
     let near = so3::both_angles(turn, [2, 0, 1], last);
     let home = near.map(|angles| so3::nearest_turns(angles, [0.0; 3]));
-    let sum = |angles: [f64; 3]| angles.map(f64::abs).into_iter().sum::<f64>();
-    let cost = |angles: &[f64; 3]| {
-        sum(std::array::from_fn(|axis| angles[axis] - last[axis])) + SMALL * sum(*angles)
-    };
+    let cost =
+        |angles: &[f64; 3]| so3::apart(angles, &last) + SMALL * so3::apart(angles, &[0.0; 3]);
     let all = near.into_iter().chain(home);
     all.min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(last)
 }

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use crate::core::body::{JOINTS, Joint, JointDeviations, Pose, Skeleton, TrackingState};
 use crate::core::so3;
-use crate::io::formats::animation::continued;
 use crate::io::formats::{ExportError, Style};
 use crate::io::new_file;
 
@@ -48,7 +47,7 @@ pub fn write_csv(
         let places = pose.posture(&skeleton).positions;
         let turns = std::iter::once(&pose.root_rotation).chain(&pose.local);
         for (last, turn) in last.iter_mut().zip(turns) {
-            *last = continued(so3::xyzw_from_rotation(turn), last);
+            *last = so3::continued(so3::xyzw_from_rotation(turn), last);
         }
         let joints = places.iter().zip(last).zip(deviation_cells(deviations.as_ref()));
         let joints = joints.flat_map(|((at, [x, y, z, w]), deviation)| {
@@ -98,4 +97,33 @@ pub(super) fn write_table(
     let bytes = written.and_then(|()| file.into_inner().map_err(std::io::Error::other));
     let written = bytes.and_then(|bytes| new_file::write(path, &bytes));
     written.map_err(ExportError::write(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quaternions_do_not_change_their_sign() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("turn.csv");
+        let pose =
+            |k: u32| Pose { root_rotation: so3::about(1, f64::from(k) * 0.5), ..Pose::rest() };
+        let (state, deviations) = (TrackingState::Tracking, None);
+        let poses = (0..30).map(|k| TimedPose { time: 0.0, state, pose: pose(k), deviations });
+        write_csv(&path, &Skeleton::default(), &Style::default(), poses).unwrap();
+        let mut file = csv::Reader::from_path(&path).unwrap();
+        let at = file.headers().unwrap().iter().position(|name| name == "pelvis_qx").unwrap();
+        let turns: Vec<[f64; 4]> = file
+            .records()
+            .map(|row| {
+                let row = row.unwrap();
+                std::array::from_fn(|axis| row[at + axis].parse().unwrap())
+            })
+            .collect();
+        for pair in turns.windows(2) {
+            let dot: f64 = pair[0].iter().zip(&pair[1]).map(|(a, b)| a * b).sum();
+            assert!(dot > 0.9, "{pair:?}");
+        }
+    }
 }

@@ -63,6 +63,7 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Solver
         | EventKind::SecondNode => true,
         EventKind::Late
+        | EventKind::Abandoned
         | EventKind::Duplicate
         | EventKind::OutOfOrder
         | EventKind::Missing

@@ -8,7 +8,7 @@
 //! |---|---|
 //! | `state`, `lens` | the name in snake case, such as `"tracking"` or `"brown_conrady"` |
 //! | `run_id`, `hash`, `rig_hash` | 16 hexadecimal digits: JSON numbers have 53 bits |
-//! | `rig` and `payload` of a journal | the number of bytes |
+//! | `rig`, `body` and `payload` of a journal | the number of bytes |
 //! | `events` of a status | an object, the count by kind |
 //! | an input of a journal | a field named by its kind, such as `"solved": {...}` |
 

@@ -9,7 +9,7 @@ pub(crate) fn goes_on(kind: &str) -> bool {
 pub(crate) fn is_expected(kind: &str) -> bool {
     let of_performers = ["acquired", "left", "entered", "reentered", "vacated"];
     let of_cameras = ["returned", "calibrated", "rig_changed", "clock"];
-    let of_node = ["latency", "idle", "take", "solver"];
+    let of_node = ["latency", "idle", "take", "solver", "abandoned"];
     [&of_performers[..], &of_cameras, &of_node].concat().contains(&kind)
 }
 

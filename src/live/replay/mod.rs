@@ -46,8 +46,10 @@ pub enum ReplayError {
         first: u64,
     },
     /// Several runs or takes, or none with the given name.
-    #[error("choose one of the recorded runs with --run: {found}")]
+    #[error("{why}choose one of the recorded runs with --run: {found}")]
     SeveralRuns {
+        /// What is wrong with the name, if there is one.
+        why: String,
         /// Their ids and takes, separated by commas.
         found: String,
     },
@@ -218,14 +220,16 @@ fn journal(
         runs.into_iter().map(|(id, parts)| Entries::of(id, parts)).collect();
     runs.sort_by_key(Entries::begin_ns);
     let is_asked = |run: &Entries| asked.is_none_or(|name| *name == run.id || *name == run.take);
-    let several = || {
+    let several = |why: &str| {
+        let why = asked.map_or(String::new(), |name| format!("{why} {name}; "));
         let list = runs.iter().map(|Entries { id, take, .. }| match take.as_str() {
             "" => id.clone(),
             take => format!("{id} (take {take})"),
         });
-        ReplayError::SeveralRuns { found: list.collect::<Vec<_>>().join(", ") }
+        ReplayError::SeveralRuns { why, found: list.collect::<Vec<_>>().join(", ") }
     };
-    let at = runs.iter().position(is_asked).ok_or_else(several)?;
+    let none = || several("there is no run or take");
+    let at = runs.iter().position(is_asked).ok_or_else(none)?;
     let take = &runs[at].take;
     let (mut end, mut others) = (runs[at].end, Vec::new());
     for later in &runs[at + 1..] {
@@ -235,7 +239,7 @@ fn journal(
             End::Unknown => later.take.is_empty() || later.take == *take,
         };
         if is_asked(later) && (asked.is_none() || !is_within) {
-            return Err(several());
+            return Err(several("several are called"));
         }
         if is_within {
             others.push(later.id.clone());
