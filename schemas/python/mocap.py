@@ -70,6 +70,16 @@ class State:
         self._publisher.put(message.SerializeToString(), **_about(message, capture_time_ns))
 
 
+class Command:
+    """Publishes commands, such as Take. Those who join later do not get them, unlike those of a `State`."""
+
+    def __init__(self, session, topic):
+        self._publisher = session.declare_publisher(topic, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    def put(self, message):
+        self._publisher.put(message.SerializeToString(), **_about(message, 0))
+
+
 def _about(message, capture_time_ns):
     return {
         "encoding": f"application/protobuf;{message.DESCRIPTOR.full_name}",

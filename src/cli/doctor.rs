@@ -245,15 +245,19 @@ fn disk(what: &str, folder: &Path, enough: u64, findings: &mut Findings) {
     findings.good_if(room >= enough, what, text);
 }
 
+/// How nodes announce themselves.
+const NODES: &str = "mocap/*/actor/*/node/*";
+
 /// Joins the bus: beside a node, or in its place.
 fn open(config: &Config, findings: &mut Findings) -> Option<Box<dyn Bus>> {
     match bus::open_client(&config.bus) {
         Ok(bus) => {
-            let text = match config.bus.kind {
-                Kind::Zenoh => "a node answers",
-                Kind::Iceoryx2 => "shared memory of this computer",
-            };
-            findings.good("bus", text);
+            let has_node = || bus.announced(NODES).is_ok_and(|names| !names.is_empty());
+            match config.bus.kind {
+                Kind::Iceoryx2 => findings.good("bus", "shared memory of this computer"),
+                Kind::Zenoh if has_node() => findings.good("bus", "a node answers"),
+                Kind::Zenoh => findings.doubtful("bus", "a router answers, but no node runs"),
+            }
             Some(bus)
         }
         Err(BusError::NobodyAnswers { .. }) => match bus::open_node(&config.bus) {
@@ -282,7 +286,7 @@ fn open(config: &Config, findings: &mut Findings) -> Option<Box<dyn Bus>> {
 
 /// The nodes that run now.
 fn nodes(bus: &dyn Bus, findings: &mut Findings) {
-    let names = match bus.announced("mocap/*/actor/*/node/*") {
+    let names = match bus.announced(NODES) {
         Ok(names) => names,
         Err(error) => return findings.wrong("node", error.to_string()),
     };

@@ -1,7 +1,7 @@
 //! `bundlemocap play`
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 
@@ -16,13 +16,16 @@ use crate::cli::tools::inbox::Inbox;
 use crate::cli::tools::player::{Clock, Playing, Sent, play};
 use crate::cli::tools::take::Take;
 use crate::core::time::{Nanos, Timestamp};
+use crate::io::bus::{Bus, BusError};
 use crate::io::wire::{CameraCounters, Status, Topics, decode};
 
 /// Time from opening the bus to the first frame, for publishers and subscribers to connect.
 const LEAD: Duration = Duration::from_millis(500);
 
-/// After this time a node has told twice what it receives.
+/// After this time a node has told what it receives.
 const PATIENCE: Nanos = Nanos::from_ms(3000);
+/// The last statuses come within this time.
+const HISTORY: Duration = Duration::from_millis(500);
 
 /// Publish the keypoints of a recording in real time, as its cameras would.
 #[derive(Debug, Args)]
@@ -30,7 +33,7 @@ const PATIENCE: Nanos = Nanos::from_ms(3000);
 The calibration is sent first, then every frame at its time. Frames get new capture times on the
 clock of this computer: the first is the time of sending, the intervals are those of the recording
 divided by the speed. Outputs of a node and ground truth are not played. All frames are kept in
-memory, about 1 kB each.
+memory, about 1 kB each. If the connection is lost meanwhile, the exit code is 6.
 
 To play cameras from several processes or computers, use the same --start-at for all.
 
@@ -155,39 +158,80 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         false => progress(take.frames() as u64, "frames"),
     };
     let topics = topics(&config);
-    let of_nodes = Topics { actor: "*".into(), ..topics.clone() };
-    let statuses = Inbox::open(&*bus, &of_nodes.status())?;
+    let mut link = Link::default();
     let sent = play(&take, &how, &*bus, &topics, &clock, |sent| {
         bar.set_position(sent.all());
         if how.repeat && sent.all().is_multiple_of(100) {
             bar.set_message(format!("{} frames", sent.all()));
         }
+        link.check(&*bus);
     })?;
     bar.finish_and_clear();
     say(&table(&rows(&take, &sent)));
-    if sent.lasted >= PATIENCE {
-        let unheard = unheard(&take, &statuses).join(", ");
-        if !unheard.is_empty() {
-            let why = "may this program publish there ([bus.zenoh] config)?";
-            complain("warning", &format!("no frame of {unheard} has reached the node: {why}"));
-        }
+    if sent.lasted >= PATIENCE && !link.is_lost {
+        tell_what_nodes_receive(&take, &*bus, &topics)?;
     }
-    Ok(Exit::Done)
+    Ok(if link.was_lost { Exit::InPart } else { Exit::Done })
 }
 
-/// The cameras from which the nodes had no frame, as their statuses say.
-fn unheard<'a>(take: &'a Take, statuses: &Inbox) -> Vec<&'a str> {
-    let statuses = std::iter::from_fn(|| statuses.next(Duration::ZERO));
+/// Whether the connection to the router is there.
+struct Link {
+    checked: Instant,
+    is_lost: bool,
+    was_lost: bool,
+}
+
+impl Default for Link {
+    fn default() -> Self {
+        Self { checked: Instant::now(), is_lost: false, was_lost: false }
+    }
+}
+
+impl Link {
+    /// Looks once a second; says when the connection is lost.
+    fn check(&mut self, bus: &dyn Bus) {
+        if self.checked.elapsed() < Duration::from_secs(1) {
+            return;
+        }
+        self.checked = Instant::now();
+        let is_lost = !bus.is_connected();
+        if is_lost && !self.is_lost {
+            complain("warning", "the connection is lost; frames are lost until it is back");
+        }
+        self.is_lost = is_lost;
+        self.was_lost |= is_lost;
+    }
+}
+
+/// Warns of cameras from which no node had a frame since its start.
+fn tell_what_nodes_receive(take: &Take, bus: &dyn Bus, topics: &Topics) -> Result<(), BusError> {
+    // Not before: who subscribes is shown among those who receive poses.
+    let of_nodes = Topics { actor: "*".into(), ..topics.clone() };
+    let inbox = Inbox::open(bus, &of_nodes.status())?;
+    let begin = Instant::now();
+    let received = std::iter::from_fn(|| inbox.next(HISTORY.saturating_sub(begin.elapsed())));
     let statuses: Vec<Status> =
-        statuses.filter_map(|received| decode(&received.sample.payload).ok()).collect();
-    let unheard = |name: &&str| {
+        received.filter_map(|received| decode(&received.sample.payload).ok()).collect();
+    if statuses.is_empty() {
+        complain("note", &format!("no node has told what it receives on {}", topics.stage));
+        return Ok(());
+    }
+    let is_unheard = |name: &&str| {
         let counters = statuses.iter().flat_map(|status| &status.cameras);
         let mut own = counters.filter(|one| one.camera == *name).peekable();
-        let is_unheard =
-            |one: &CameraCounters| one.rate_hz == 0.0 && one.unusable + one.dropped == 0;
-        own.peek().is_some() && own.all(is_unheard)
+        let is_none = |one: &CameraCounters| {
+            let CameraCounters { used, late, duplicate, unusable, dropped, rate_hz, .. } = one;
+            used + late + duplicate + unusable + dropped == 0 && *rate_hz == 0.0
+        };
+        own.peek().is_some() && own.all(is_none)
     };
-    take.cameras.iter().map(|camera| camera.name.as_str()).filter(unheard).collect()
+    let names = take.cameras.iter().map(|camera| camera.name.as_str());
+    let unheard = names.filter(is_unheard).collect::<Vec<_>>().join(", ");
+    if !unheard.is_empty() {
+        let why = "may this program publish there ([bus.zenoh] config)?";
+        complain("warning", &format!("no frame of {unheard} has reached the node: {why}"));
+    }
+    Ok(())
 }
 
 /// The time of the first frame.

@@ -303,7 +303,7 @@ fn rows(path: &Path, recorded: &Recorded, elapsed: Duration) -> Vec<(String, Str
     let topics = recorded.topics.iter().map(|(topic, count)| {
         let missing = match recorded.numbers.missing(topic) {
             0 => String::new(),
-            missing => format!(", {missing} frames are missing"),
+            missing => format!(", missing by their numbers: {missing}"),
         };
         (topic.to_string(), format!("{count} messages{missing}"))
     });

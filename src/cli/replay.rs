@@ -150,7 +150,7 @@ fn one(arguments: &Arguments, messages: &[Recorded], topics: &Topics, take: Opti
     let (inputs, seconds) = (replayed.inputs, after.seconds());
     let text = format!(
         "{}: {what} is missing {seconds:.3} s after the start; replayed up to there, {inputs} \
-         inputs: the recorder lost it, see its warnings",
+         inputs: it did not reach the recorder",
         arguments.file.display()
     );
     complain("warning", &text);

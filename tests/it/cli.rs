@@ -1091,6 +1091,10 @@ fn gltf_files_of_several_performers_begin_together() {
         let times = json["animations"][0]["samplers"][0]["input"].as_u64().unwrap() as usize;
         let times = &json["accessors"][times];
         assert_eq!((times["min"][0].as_f64(), times["count"].as_u64()), (Some(start), Some(count)));
+        // Blender names the armature after the skin, and the action after the animation.
+        for named in [&json["skins"][0], &json["animations"][0]] {
+            assert_eq!(named["name"], actor);
+        }
     }
 }
 

@@ -197,6 +197,9 @@ fn a_player_that_no_node_hears_is_told() {
         let told = errors.contains("no frame of cam02 has reached the node: may this program");
         assert_eq!((played.status.code(), told), (Some(0), lasted), "{errors}");
     }
+    let played = place.command("play walk.mcap --speed 0.1 --stage other").output().unwrap();
+    let errors = String::from_utf8_lossy(&played.stderr);
+    assert!(errors.contains("note: no node has told what it receives on other"), "{errors}");
 }
 
 #[test]

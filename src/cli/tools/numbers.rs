@@ -1,10 +1,10 @@
-//! Frames that are missing, by the cameras' own numbers.
+//! Frames of cameras, and sets of performers' keypoints, that are missing by their own numbers.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use crate::io::recording::RawEntry;
-use crate::io::wire::{KeypointFrame, StageChannel, Topic, decode};
+use crate::io::wire::{ActorChannel, KeypointFrame, KeypointSet, StageChannel, Topic, decode};
 
 /// A frame comes late by at most as many numbers. At a longer way back the camera's program was started again.
 const LATE: u64 = 64;
@@ -66,10 +66,16 @@ pub(crate) struct Numbers(BTreeMap<Arc<str>, (Run, u64)>);
 impl Numbers {
     /// Notes a message.
     pub(super) fn add(&mut self, entry: &RawEntry) {
-        if camera_of(&entry.topic).is_none() {
-            return;
-        }
-        let Ok(KeypointFrame { frame, .. }) = decode(&entry.payload) else { return };
+        let number = match Topic::parse(&entry.topic) {
+            Ok(Topic::Stage { channel: StageChannel::Keypoints { .. }, .. }) => {
+                decode(&entry.payload).map(|KeypointFrame { frame, .. }| frame)
+            }
+            Ok(Topic::Actor { channel: ActorChannel::Keypoints, .. }) => {
+                decode(&entry.payload).map(|KeypointSet { number, .. }| number)
+            }
+            _ => return,
+        };
+        let Ok(frame) = number else { return };
         let new = || (Run::new(frame), 0);
         let (run, before) = self.0.entry(Arc::clone(&entry.topic)).or_insert_with(new);
         if run.fits(frame) {
@@ -80,23 +86,24 @@ impl Numbers {
         }
     }
 
-    /// Number of missing frames of the camera of that topic.
+    /// Number of missing frames of the camera, or sets of the performer, of that topic.
     pub(crate) fn missing(&self, topic: &str) -> u64 {
         self.0.get(topic).map_or(0, |(run, before)| before + run.missing())
     }
 
-    /// The cameras with missing frames, and how many.
+    /// The cameras and performers with missing messages, and how many.
     pub(super) fn all_missing(&self) -> impl Iterator<Item = (&str, u64)> {
         let missing = self.0.keys().map(|topic| (&**topic, self.missing(topic)));
         let missing = missing.filter(|(_, missing)| *missing > 0);
-        missing.filter_map(|(topic, missing)| Some((camera_of(topic)?, missing)))
+        missing.filter_map(|(topic, missing)| Some((name_of(topic)?, missing)))
     }
 }
 
-/// The camera of a topic of keypoints.
-fn camera_of(topic: &str) -> Option<&str> {
+/// The camera or the performer of a topic of keypoints.
+fn name_of(topic: &str) -> Option<&str> {
     match Topic::parse(topic) {
         Ok(Topic::Stage { channel: StageChannel::Keypoints { camera }, .. }) => Some(camera),
+        Ok(Topic::Actor { actor, .. }) => Some(actor),
         _ => None,
     }
 }
@@ -107,16 +114,20 @@ mod tests {
     use crate::core::time::Timestamp;
     use crate::io::wire::{Topics, encode};
 
+    fn entry(topic: &Arc<str>, payload: Vec<u8>) -> RawEntry {
+        let topic = Arc::clone(topic);
+        let (schema, encoding) = ("".into(), "".into());
+        let [log_time, publish_time] = [Timestamp::default(); 2];
+        RawEntry { topic, schema, encoding, log_time, publish_time, payload }
+    }
+
     /// The number of missing frames after these.
     fn missing(frames: impl IntoIterator<Item = u64>) -> u64 {
         let topic: Arc<str> = Topics::default().keypoints("a").into();
         let mut numbers = Numbers::default();
         for frame in frames {
             let payload = encode(&KeypointFrame { frame, ..KeypointFrame::default() });
-            let topic = Arc::clone(&topic);
-            let (schema, encoding) = ("".into(), "".into());
-            let [log_time, publish_time] = [Timestamp::default(); 2];
-            numbers.add(&RawEntry { topic, schema, encoding, log_time, publish_time, payload });
+            numbers.add(&entry(&topic, payload));
         }
         let missing = numbers.missing(&topic);
         let all = if missing == 0 { vec![] } else { vec![("a", missing)] };
@@ -136,5 +147,11 @@ mod tests {
         let begun_again = [200, 201, 203].into_iter().chain(0..9).chain([u64::MAX - 1, u64::MAX]);
         assert_eq!(missing(begun_again), 1);
         assert_eq!(missing([]), 0);
+        let topic: Arc<str> = "mocap/stage/actor/p1/keypoints".into();
+        let mut numbers = Numbers::default();
+        for number in [1, 2, 4] {
+            numbers.add(&entry(&topic, encode(&KeypointSet { number, ..KeypointSet::default() })));
+        }
+        assert_eq!(numbers.all_missing().collect::<Vec<_>>(), [("p1", 1)]);
     }
 }

@@ -30,7 +30,7 @@ const MOST_RECENT: usize = 65_536;
 pub(crate) struct Recorded {
     /// Messages by topic.
     pub(crate) topics: BTreeMap<Arc<str>, u64>,
-    /// The numbers of the cameras' frames.
+    /// The numbers of frames and of sets.
     pub(crate) numbers: Numbers,
     /// Messages on all topics.
     pub(crate) messages: u64,
@@ -53,7 +53,7 @@ impl Recorded {
         let messages = format!("{} messages", self.messages);
         match missing.is_empty() {
             true => messages,
-            false => format!("{messages}; missing frames: {}", missing.join(", ")),
+            false => format!("{messages}; missing by their numbers: {}", missing.join(", ")),
         }
     }
 }

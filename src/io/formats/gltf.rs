@@ -61,7 +61,7 @@ pub fn write_glb(
         "meshes": [{ "name": name, "primitives": [primitive] }],
         "materials": [{ "name": "skin", "pbrMetallicRoughness":
             { "baseColorFactor": [0.6, 0.6, 0.62, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8 } }],
-        "skins": [{ "skeleton": 0, "inverseBindMatrices": binds, "joints": Vec::from_iter(0..JOINTS) }],
+        "skins": [{ "name": name, "skeleton": 0, "inverseBindMatrices": binds, "joints": Vec::from_iter(0..JOINTS) }],
     });
     if count > 0 {
         json["animations"] = json!([animation(about.name, &keys, &mut buffer)]);

@@ -56,12 +56,15 @@ pub fn start() -> Result<LogGuard, NodeError> {
 
 fn filter(asked: &str) -> Result<EnvFilter, ParseError> {
     let asked = if asked.trim().is_empty() { "info" } else { asked };
-    // Each attempt to connect is a warning of zenoh, with the place in its sources.
-    let attempts = match asked.contains("zenoh") {
+    // Zenoh warns of each attempt to connect, with the place in its sources, and after an outage of states that newer ones
+    // have replaced. If a program ends that was not allowed to declare something, `Unknown id` is an error.
+    let of_zenoh = match asked.contains("zenoh") {
         true => "",
-        false => "zenoh::net::runtime::orchestrator=error,",
+        false => {
+            "zenoh::net::runtime::orchestrator=error,zenoh::net::routing::hat=off,zenoh_ext=error,"
+        }
     };
-    EnvFilter::try_new(format!("zenoh=warn,{attempts}iceoryx2=warn,foxglove=warn,{asked}"))
+    EnvFilter::try_new(format!("zenoh=warn,{of_zenoh}iceoryx2=warn,foxglove=warn,{asked}"))
 }
 
 impl Drop for LogGuard {
