@@ -71,7 +71,7 @@ class State:
 
 
 class Command:
-    """Publishes commands, such as Take. Those who join later do not get them, unlike those of a `State`."""
+    """Publishes commands, such as Take. Programs that join later do not get them; from a `State` they do."""
 
     def __init__(self, session, topic):
         self._publisher = session.declare_publisher(topic, congestion_control=zenoh.CongestionControl.BLOCK)

@@ -245,7 +245,7 @@ fn disk(what: &str, folder: &Path, enough: u64, findings: &mut Findings) {
     findings.good_if(room >= enough, what, text);
 }
 
-/// How nodes announce themselves.
+/// The names under which nodes announce themselves.
 const NODES: &str = "mocap/*/actor/*/node/*";
 
 /// Joins the bus: beside a node, or in its place.

@@ -203,7 +203,7 @@ impl Link {
     }
 }
 
-/// Warns of cameras from which no node had a frame since its start.
+/// Warns of cameras from which no node has had a frame, and says if there is no node.
 fn tell_what_nodes_receive(take: &Take, bus: &dyn Bus, topics: &Topics) -> Result<(), BusError> {
     // Not before: who subscribes is shown among those who receive poses.
     let of_nodes = Topics { actor: "*".into(), ..topics.clone() };
@@ -213,7 +213,10 @@ fn tell_what_nodes_receive(take: &Take, bus: &dyn Bus, topics: &Topics) -> Resul
     let statuses: Vec<Status> =
         received.filter_map(|received| decode(&received.sample.payload).ok()).collect();
     if statuses.is_empty() {
-        complain("note", &format!("no node has told what it receives on {}", topics.stage));
+        complain(
+            "note",
+            &format!("no node publishes its status on stage {}; does one run?", topics.stage),
+        );
         return Ok(());
     }
     let is_unheard = |name: &&str| {

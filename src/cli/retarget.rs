@@ -46,7 +46,7 @@ Examples:
   bundlemocap retarget --skeleton robot.bvh
   bundlemocap retarget --skeleton robot.bvh --map robot.toml --name robot --out take1.bvh
   bundlemocap retarget --skeleton robot.bvh --from out/poses.mcap --out take1.bvh
-  bundlemocap retarget --skeleton robot.bvh --from out/poses.mcap --out cut.bvh --start 240f --fps 30")]
+  bundlemocap retarget --skeleton robot.bvh --from out/poses.mcap --out cut.bvh --start 240f")]
 pub(super) struct Arguments {
     /// BVH file with the skeleton.
     #[arg(long, value_name = "BVH")]
@@ -63,7 +63,8 @@ pub(super) struct Arguments {
     #[command(flatten)]
     overwrite: Overwrite,
     /// Read a solved recording instead of the bus.
-    #[arg(long, value_name = "MCAP", requires = "out", conflicts_with_all = ["name", "bus", "connect", "stage", "config"])]
+    #[arg(long, value_name = "MCAP", requires = "out",
+        conflicts_with_all = ["name", "bus", "connect", "stage", "config"])]
     from: Option<PathBuf>,
     #[command(flatten)]
     span: SpanArguments,
@@ -93,7 +94,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         check_ending(out, "bvh")?;
     }
     if arguments.from.is_none() && (arguments.span.is_given() || arguments.changes.is_given()) {
-        let message = "--start, --end, --fps, --in-place and --lost need a solved recording: --from poses.mcap";
+        let message = "--start, --end, --fps, --in-place and --lost need a solved recording: give it \
+                       with --from poses.mcap";
         return Err(Failure::new(Exit::Usage, message));
     }
     let mut retarget = character(&arguments.skeleton, arguments.map.as_deref())?;

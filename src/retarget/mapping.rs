@@ -8,6 +8,7 @@
 //! - The same holds for the chain from there to the head (spine3, neck, head) and to each upper arm
 //!   (spine3, collar).
 //! - A joint that the user names keeps its own position in the chain.
+//! - Other joints of the trunk from which a leg hangs follow the pelvis.
 //! - All other joints move rigidly with their parent.
 
 use super::map::Map;
@@ -162,7 +163,7 @@ impl Mapping {
         let chest = self.chest(target, hips, named[Spine3.index()]);
         let trunk = chain(target, hips, chest);
         self.spread(target, &trunk[1..], &[Pelvis, Spine1, Spine2, Spine3], named)?;
-        // In Biped the legs hang from the spine.
+        // In Biped the legs hang from the spine. The chest bends all the same.
         let legs = [Joint::LHip, Joint::RHip].map(|hip| self.joint(hip));
         let carries = |at: usize| legs.iter().flatten().any(|&hip| target.is_below(hip, at));
         let is_free = |joint: &&usize| **joint != chest && !named.contains(&Some(**joint));

@@ -10,7 +10,7 @@
 //!   and feet keep their slope, because these differ between bodies at rest.
 //! - Spine and neck: chains of any length; see [`Mapping`].
 //! - Position: the movement of the middle of the hip joints is scaled by the ratio s of the leg
-//!   lengths (hip, knee, ankle). Its height is scaled about the ankles, y' = s (y - a) + a', where
+//!   lengths (hip, knee, ankle), or over the floor by a given scale. Its height is scaled about the ankles, y' = s (y - a) + a', where
 //!   a and a' are the heights of our and the target's ankles above the balls of the feet. So feet
 //!   on our floor are on the target's floor.
 //!

@@ -199,7 +199,7 @@ fn a_player_that_no_node_hears_is_told() {
     }
     let played = place.command("play walk.mcap --speed 0.1 --stage other").output().unwrap();
     let errors = String::from_utf8_lossy(&played.stderr);
-    assert!(errors.contains("note: no node has told what it receives on other"), "{errors}");
+    assert!(errors.contains("note: no node publishes its status on stage other"), "{errors}");
 }
 
 #[test]

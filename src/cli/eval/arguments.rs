@@ -224,8 +224,8 @@ pub(super) struct Views {
     /// file is there, else ring4; ring4 for performers].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) rig: Vec<String>,
-    /// File with the Human3.6M cameras, JSON with intrinsics, extrinsics_S9_S11 and res; default: in the folder of the variable BUNDLEMOCAP_DATA, or in
-    /// ../shared.
+    /// File with the Human3.6M cameras, JSON with the keys intrinsics, extrinsics_S9_S11 and res; default: in
+    /// the folder of the variable BUNDLEMOCAP_DATA, or in ../shared.
     #[arg(long, value_name = "FILE")]
     pub(super) h36m: Option<PathBuf>,
     /// Noise levels of the detectors: none, or a level of the protocol (clean, studio, sparse,

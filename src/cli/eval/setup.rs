@@ -267,7 +267,7 @@ fn usable(subjects: Vec<Subject>, protocol: &Protocol) -> Vec<Subject> {
     usable
 }
 
-/// The rig without a protocol: without the file with the Human3.6M cameras a ring, with a note.
+/// The rig if neither a protocol nor an option names one: Human3.6M's, or without its file a ring, with a note.
 fn usual_rig(Motions { views, .. }: &Motions) -> &'static str {
     if views.h36m.is_some() || known_h36m().is_some() {
         return RIG;

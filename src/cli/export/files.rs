@@ -55,12 +55,12 @@ impl Format {
         timecode.map(|path| (path, true)).into_iter().chain(more).collect()
     }
 
-    /// Whether a file does not say itself which poses are lost.
+    /// Whether a file has no place for the states of its poses.
     pub(super) fn is_animation(self) -> bool {
         matches!(self, Self::Bvh | Self::Glb | Self::Usda | Self::Mot)
     }
 
-    /// Whether a timecode is in the file itself, or has no meaning for it.
+    /// Whether a file has the timecode itself, or needs none.
     pub(super) fn has_timecode(self) -> bool {
         matches!(self, Self::Glb | Self::Usda | Self::Svg | Self::Mcap)
     }

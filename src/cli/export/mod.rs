@@ -52,8 +52,8 @@ the joints have y along their bones. In .usda a `:` of a joint's name is `_`. Fr
 from the first frame of the take, or from --start of export or of solve. Without --start, frame n of
 .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of the
 poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at most ten
-minutes in all; in .glb and .usda programs interpolate over gaps of up to 0.25 s, and longer ones hold
-the pose. .trc (nan) and .c3d are empty there, and where the performer is lost or coasting; .c3d
+minutes in all. In .glb and .usda a pose is held in gaps longer than 0.25 s; in shorter gaps, programs
+interpolate. .trc (nan) and .c3d are empty there, and where the performer is lost or coasting; .c3d
 has events there. The standard deviations of the joint centres, metres, are in take1.trc.sd.csv beside
 take1.trc; the same for .c3d.
 
@@ -336,13 +336,13 @@ fn plain(path: &Path) -> PathBuf {
 pub(super) fn path_of(path: &Path, actor: Option<&String>) -> PathBuf {
     let Some(actor) = actor else { return path.to_owned() };
     let (stem, ending) = stem_and_ending(path);
-    let (stem, ending) = match (ending.is_empty(), path.file_stem(), path.extension()) {
-        (true, Some(stem), Some(ending)) => {
-            (stem.to_string_lossy().into_owned(), format!(".{}", ending.display()))
+    match path.extension() {
+        // Of no format.
+        Some(other) if ending.is_empty() => {
+            path.with_extension(format!("{actor}.{}", other.display()))
         }
-        _ => (stem, ending),
-    };
-    path.with_file_name(format!("{stem}.{actor}{ending}"))
+        _ => path.with_file_name(format!("{stem}.{actor}{ending}")),
+    }
 }
 
 /// The file name without the ending of its format, and that ending with its dot, such as `.angles.csv`; empty if it is

@@ -6,60 +6,60 @@ use std::sync::Arc;
 use crate::io::recording::RawEntry;
 use crate::io::wire::{ActorChannel, KeypointFrame, KeypointSet, StageChannel, Topic, decode};
 
-/// A frame comes late by at most as many numbers. At a longer way back the camera's program was started again.
+/// A message may come late by at most so many numbers. After a longer step back its program was started again.
 const LATE: u64 = 64;
-/// The same for a longer way ahead.
+/// The same after a longer step ahead.
 const LONGEST_GAP: u64 = 100_000;
 
-/// The numbers of a camera since its program was started.
+/// The numbers on one topic since its program was started.
 #[derive(Clone, Debug, PartialEq)]
 struct Run {
     first: u64,
     highest: u64,
     count: u64,
-    /// How often the next number was so far ahead. Some detectors use every second image.
-    ways: BTreeMap<u64, u64>,
-    /// The last numbers; some frames come twice.
+    /// How often each step to the next number came. Some detectors use every second image.
+    steps: BTreeMap<u64, u64>,
+    /// The last numbers: some messages come twice.
     recent: VecDeque<u64>,
 }
 
 impl Run {
-    fn new(frame: u64) -> Self {
-        let (ways, recent) = (BTreeMap::new(), VecDeque::from([frame]));
-        Self { first: frame, highest: frame, count: 1, ways, recent }
+    fn new(number: u64) -> Self {
+        let (steps, recent) = (BTreeMap::new(), VecDeque::from([number]));
+        Self { first: number, highest: number, count: 1, steps, recent }
     }
 
     /// Whether it is a number of this run.
-    fn fits(&self, frame: u64) -> bool {
+    fn fits(&self, number: u64) -> bool {
         let [from, to] =
             [self.highest.saturating_sub(LATE), self.highest.saturating_add(LONGEST_GAP)];
-        (from..=to).contains(&frame)
+        (from..=to).contains(&number)
     }
 
-    fn add(&mut self, frame: u64) {
-        if self.recent.contains(&frame) {
+    fn add(&mut self, number: u64) {
+        if self.recent.contains(&number) {
             return;
         }
         if self.recent.len() as u64 > LATE {
             self.recent.pop_front();
         }
-        self.recent.push_back(frame);
+        self.recent.push_back(number);
         self.count += 1;
-        self.first = self.first.min(frame);
-        if frame > self.highest {
-            *self.ways.entry(frame - self.highest).or_default() += 1;
-            self.highest = frame;
+        self.first = self.first.min(number);
+        if number > self.highest {
+            *self.steps.entry(number - self.highest).or_default() += 1;
+            self.highest = number;
         }
     }
 
     fn missing(&self) -> u64 {
-        let usual = self.ways.iter().rev().max_by_key(|(_, count)| **count);
-        let step = usual.map_or(1, |(way, _)| *way);
+        let usual = self.steps.iter().rev().max_by_key(|(_, count)| **count);
+        let step = usual.map_or(1, |(step, _)| *step);
         ((self.highest - self.first) / step + 1).saturating_sub(self.count)
     }
 }
 
-/// The numbers of the cameras, by topic: the present run, and the missing frames of those before.
+/// The numbers by topic: of the present run, and how many were missing in those before.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Numbers(BTreeMap<Arc<str>, (Run, u64)>);
 
@@ -75,14 +75,14 @@ impl Numbers {
             }
             _ => return,
         };
-        let Ok(frame) = number else { return };
-        let new = || (Run::new(frame), 0);
+        let Ok(number) = number else { return };
+        let new = || (Run::new(number), 0);
         let (run, before) = self.0.entry(Arc::clone(&entry.topic)).or_insert_with(new);
-        if run.fits(frame) {
-            run.add(frame);
+        if run.fits(number) {
+            run.add(number);
         } else {
             *before += run.missing();
-            *run = Run::new(frame);
+            *run = Run::new(number);
         }
     }
 

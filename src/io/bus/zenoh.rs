@@ -6,8 +6,8 @@
 //! | a full queue | waits 1 ms (tools: 20 ms), then drops until it has room | the same; missed samples are requested again |
 //! | late joiners | nothing | the last samples, from the publisher's cache |
 //!
-//! Streams are not *express*: each express message fills a place in the queues on its way, and a router with zenoh's own
-//! settings has two. Others share a place, and come up to 1 ms later.
+//! Streams are not *express*. An express message takes a whole place in each queue on its way, and a queue of a router
+//! with zenoh's own settings has two places. Other messages share places, and come up to 1 ms later.
 //!
 //! States are not sent with congestion control *block*: one stalled receiver would block the node,
 //! and so everybody's poses, for seconds. They carry sequence numbers; gaps are detected (at the latest

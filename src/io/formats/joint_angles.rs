@@ -6,7 +6,7 @@
 //! models does not have are left out: knees, elbows and ankles bend about one axis. The upper arm turns about its own axis
 //! until the elbow's one axis brings the forearm where it is. The pelvis' place is that of our joint, not of the origin of
 //! the models' pelvis. With a level arm two of its angles are not unique (Euler's singularity): they may change fast, and jump
-//! by half a turn once the others are much smaller.
+//! by half a turn.
 //!
 //! Source: Rajagopal et al., Full-body musculoskeletal model for muscle-driven simulation of human gait, 2016; the
 //! joints of `Rajagopal2016.osim`.
@@ -27,8 +27,7 @@ use crate::io::new_file;
 
 /// The turn of an upper arm is known where the forearm leaves its line by this part of its length.
 const SURE_SIDE: f64 = 0.3;
-/// Other angles replace those that go on from the last ones if their sum is smaller by more than the distance between
-/// both, divided by this.
+/// Weight of the size of angles beside their distance from the last ones.
 const SMALL: f64 = 1.5;
 /// Number of coordinates of a pose.
 const COORDINATES: usize = 27;
@@ -168,9 +167,9 @@ impl Angles {
     }
 }
 
-/// The angles of a joint about z, x and y, radians. Two solutions with whole turns are equal turns. An arm that is out
-/// to the side has two near ones, and may come down with the one of which all angles are beyond a quarter turn. So the
-/// angles go on from `last`, unless others are much smaller.
+/// The angles of a joint about z, x and y, radians. A rotation has two solutions, to which whole turns can be added.
+/// Where an arm is lifted aside, both are near, and the arm may come down with the one whose angles are all large. So
+/// the angles are those nearest to `last`, unless others are much smaller.
 fn small_angles(turn: &Matrix3<f64>, last: [f64; 3]) -> [f64; 3] {
     let near = so3::both_angles(turn, [2, 0, 1], last);
     let home = near.map(|angles| so3::nearest_turns(angles, [0.0; 3]));

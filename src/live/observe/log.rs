@@ -56,8 +56,8 @@ pub fn start() -> Result<LogGuard, NodeError> {
 
 fn filter(asked: &str) -> Result<EnvFilter, ParseError> {
     let asked = if asked.trim().is_empty() { "info" } else { asked };
-    // Zenoh warns of each attempt to connect, with the place in its sources, and after an outage of states that newer ones
-    // have replaced. If a program ends that was not allowed to declare something, `Unknown id` is an error.
+    // These lines of zenoh do not help anybody: each attempt to connect, states that newer ones have replaced during an
+    // outage, and `Unknown id` if a program ends that was not allowed to declare something.
     let of_zenoh = match asked.contains("zenoh") {
         true => "",
         false => {
