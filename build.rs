@@ -4,6 +4,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use prost_build::Config;
+use protox::prost_reflect::prost_types::FileDescriptorSet;
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rerun-if-changed=build.rs");
@@ -20,13 +21,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let all = protox::compile(&protos, ["schemas"])?;
     std::fs::write(out.join("messages.json"), fields_as_json(&all))?;
-    with_json(Config::new().enable_type_names()).compile_fds(all)?;
+    let config = &mut Config::new();
+    with_json(config.enable_type_names(), &all).compile_fds(all)?;
     Ok(())
 }
 
 /// The fields of all messages, for the page's decoder: by message and number, the name, the type, the name of
 /// a message type, and whether it is repeated.
-fn fields_as_json(all: &protox::prost_reflect::prost_types::FileDescriptorSet) -> String {
+fn fields_as_json(all: &FileDescriptorSet) -> String {
     let messages = all.file.iter().flat_map(|file| &file.message_type).map(|message| {
         let fields = message.field.iter().map(|field| {
             let of = field.type_name().rsplit('.').next().unwrap_or_default();
@@ -41,7 +43,7 @@ fn fields_as_json(all: &protox::prost_reflect::prost_types::FileDescriptorSet) -
 }
 
 /// Lets messages be written as JSON, as `src/io/wire/json.rs` says.
-fn with_json(config: &mut Config) -> &mut Config {
+fn with_json<'a>(config: &'a mut Config, all: &FileDescriptorSet) -> &'a mut Config {
     let with = |function: &str| {
         format!("#[serde(serialize_with = \"crate::io::wire::json::{function}\")]")
     };
@@ -53,23 +55,7 @@ fn with_json(config: &mut Config) -> &mut Config {
         (&["CalibratedCamera.lens"], "lens_kind"),
         (&["Status.events"], "event_counts"),
         (
-            &[
-                "Pose.run_id",
-                "Keyframe.run_id",
-                "RetargetedPose.run_id",
-                "Status.run_id",
-                "StageStatus.run_id",
-                "Event.run_id",
-                "Skeleton.run_id",
-                "KeypointSet.run_id",
-                "KeypointSet.rig_hash",
-                "HandOver.run_id",
-                "Take.id",
-                "TakeAnswer.id",
-                "Journal.run_id",
-                "JournalStart.run_id",
-                "JournalMessage.hash",
-            ],
+            &["KeypointSet.rig_hash", "Take.id", "TakeAnswer.id", "JournalMessage.hash"],
             "hexadecimal",
         ),
         (
@@ -84,6 +70,13 @@ fn with_json(config: &mut Config) -> &mut Config {
     ] {
         for field in fields {
             config.field_attribute(format!("bundlemocap.v1.{field}"), with(function));
+        }
+    }
+    // In each message.
+    for message in all.file.iter().flat_map(|file| &file.message_type) {
+        if message.field.iter().any(|field| field.name() == "run_id") {
+            let field = format!("bundlemocap.v1.{}.run_id", message.name());
+            config.field_attribute(field, with("hexadecimal"));
         }
     }
     config

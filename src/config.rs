@@ -61,59 +61,24 @@ pub const DEFAULT_TOML: &str = include_str!("../config/default.toml");
 /// Why a configuration file cannot be used.
 #[derive(Debug, Error)]
 #[non_exhaustive]
+#[allow(missing_docs)]
 pub enum ConfigError {
-    /// The file cannot be read.
     #[error("cannot read the configuration {}: {source}; check the path", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// Not TOML, an unknown key, or a value of the wrong type.
+    Unreadable { path: PathBuf, source: std::io::Error },
     #[error("{}, line {line}: {reason}; config/default.toml lists every key", path.display())]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: usize,
-        /// The reason, with the key.
-        reason: String,
-    },
+    Malformed { path: PathBuf, line: usize, reason: String },
     /// A number out of range.
     #[error("{}: {error}", path.display())]
-    OutOfRange {
-        /// The file.
-        path: PathBuf,
-        /// The key, its value and its range.
-        error: OutOfRange,
-    },
+    OutOfRange { path: PathBuf, error: OutOfRange },
     /// A timecode that cannot be used.
     #[error("{}: [timecode] {source}", path.display())]
-    Timecode {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        source: TimecodeError,
-    },
+    Timecode { path: PathBuf, source: TimecodeError },
     /// Settings that do not fit each other.
     #[error("{}: {reason}", path.display())]
-    Together {
-        /// The file.
-        path: PathBuf,
-        /// The settings, and what would fit.
-        reason: &'static str,
-    },
+    Together { path: PathBuf, reason: &'static str },
     /// An invalid name of a stage or an actor.
     #[error("{}: {key}: {source}", path.display())]
-    Name {
-        /// The file.
-        path: PathBuf,
-        /// Full name of the key.
-        key: &'static str,
-        /// The name and the allowed characters.
-        source: NameError,
-    },
+    Name { path: PathBuf, key: &'static str, source: NameError },
 }
 
 impl Config {

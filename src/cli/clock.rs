@@ -13,6 +13,8 @@ use crate::live::WallClock;
 
 /// Longest time until a stop request is noticed.
 pub(crate) const ATTENTION: Duration = Duration::from_millis(20);
+/// A program that has heard nothing for this long says so.
+pub(super) const PATIENCE: Duration = Duration::from_secs(5);
 
 /// A request to stop the program; clones share it.
 #[derive(Clone, Debug, Default)]

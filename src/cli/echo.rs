@@ -9,7 +9,7 @@ use serde_json::{Map, Value, json};
 
 use super::Ended;
 use super::bus::{BusArguments, open};
-use super::clock::{ATTENTION, Stop};
+use super::clock::{ATTENTION, PATIENCE, Stop};
 use super::failure::Exit;
 use super::terminal::{complain, tell};
 use super::wire;
@@ -108,7 +108,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         (false, true) => Form::Json,
         (false, false) => Form::Line,
     };
-    echo(&inbox, form, arguments.count.unwrap_or(u64::MAX), &stop, tell);
+    let nothing = || {
+        let what = patterns.join(" and ");
+        let fix = "check --stage and --actor, and whether the node runs";
+        complain("warning", &format!("no messages on {what} yet; {fix}"));
+    };
+    echo(&inbox, form, arguments.count.unwrap_or(u64::MAX), &stop, tell, nothing);
     if inbox.dropped() > 0 {
         let fix = "the terminal is too slow; print fewer messages";
         complain("warning", &format!("{} messages were not printed: {fix}", inbox.dropped()));
@@ -124,11 +129,23 @@ enum Form {
     Rates { json: bool },
 }
 
-/// Prints until `count` lines, a stop request, or `print` returns false.
-fn echo(inbox: &Inbox, form: Form, count: u64, stop: &Stop, mut print: impl FnMut(&str) -> bool) {
+/// Prints until `count` lines, a stop request, or `print` returns false. Calls `nothing` if nothing comes for a while.
+fn echo(
+    inbox: &Inbox,
+    form: Form,
+    count: u64,
+    stop: &Stop,
+    mut print: impl FnMut(&str) -> bool,
+    nothing: impl Fn(),
+) {
     let (mut printed, mut rates, mut since) = (0, Rates::default(), Instant::now());
+    let (begin, mut is_heard) = (Instant::now(), false);
     while printed < count && !stop.is_set() {
         let received = inbox.next(ATTENTION);
+        if received.is_none() && !is_heard && begin.elapsed() > PATIENCE {
+            nothing();
+        }
+        is_heard |= received.is_some() || begin.elapsed() > PATIENCE;
         let line = match (form, received) {
             (Form::Line, Some(received)) => line(&received),
             (Form::Json, Some(received)) => json_line(&received).to_string(),
@@ -291,21 +308,23 @@ mod tests {
             publisher.put(CAPTURE, "", &encode(&event)).unwrap();
         }
         let mut lines = Vec::new();
-        echo(&inbox, Form::Line, 2, &Stop::default(), |line| {
+        let print = |line: &str| {
             lines.push(line.to_owned());
             true
-        });
+        };
+        echo(&inbox, Form::Line, 2, &Stop::default(), print, || unreachable!());
         assert_eq!(lines.len(), 2);
         assert!(lines[0].contains("stage/events  late x 2"), "{lines:?}");
         let mut tries = 0;
-        echo(&inbox, Form::Json, u64::MAX, &Stop::default(), |_| {
+        let print = |_: &str| {
             tries += 1;
             tries < 2
-        });
+        };
+        echo(&inbox, Form::Json, u64::MAX, &Stop::default(), print, || unreachable!());
         assert_eq!(tries, 2);
         let stop = Stop::default();
         stop.stop();
-        echo(&inbox, Form::Line, u64::MAX, &stop, |_| unreachable!());
+        echo(&inbox, Form::Line, u64::MAX, &stop, |_| unreachable!(), || unreachable!());
     }
 
     #[test]

@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
+use clap::ValueEnum;
 use serde::Serialize;
 
+use super::terminal::complain;
 use crate::cli::tools::take::TakeError;
 use crate::config::ConfigError;
 use crate::core::camera::CameraError;
@@ -83,6 +85,20 @@ pub(crate) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
     Err(Failure::new(Exit::Usage, message))
 }
 
+/// The name of a value on the command line.
+pub(crate) fn value_name(value: impl ValueEnum) -> String {
+    value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
+/// The exit code of a file that was read, in part if something was lost; says what.
+pub(super) fn in_part(file: &Path, losses: &[String]) -> Exit {
+    if losses.is_empty() {
+        return Exit::Done;
+    }
+    complain("warning", &format!("{}: {}", file.display(), losses.join("; ")));
+    Exit::InPart
+}
+
 /// JSON for people and programs.
 pub(crate) fn json(value: &impl Serialize) -> Result<String, Failure> {
     let text = serde_json::to_string_pretty(value);
@@ -144,46 +160,39 @@ impl From<RecordError> for Failure {
     }
 }
 
-impl From<BusError> for Failure {
-    fn from(error: BusError) -> Self {
-        let exit = match &error {
-            BusError::Name { .. } => Exit::Usage,
-            BusError::Setting { .. } => Exit::Malformed,
-            _ => Exit::Bus,
-        };
-        Self::new(exit, error.to_string())
-    }
+/// The exit code of each kind of error.
+macro_rules! failures {
+    ($($Error:ty { $($pattern:pat => $exit:ident,)+ })+) => {
+        $(impl From<$Error> for $crate::cli::failure::Failure {
+            fn from(error: $Error) -> Self {
+                let exit = match &error {
+                    $($pattern => $crate::cli::failure::Exit::$exit,)+
+                };
+                Self::new(exit, error.to_string())
+            }
+        })+
+    };
 }
+pub(super) use failures;
 
-impl From<TimecodeError> for Failure {
-    fn from(error: TimecodeError) -> Self {
-        Self::new(Exit::Usage, error.to_string())
+failures! {
+    BusError {
+        BusError::Name { .. } => Usage,
+        BusError::Setting { .. } => Malformed,
+        _ => Bus,
     }
-}
-
-impl From<ConfigError> for Failure {
-    fn from(error: ConfigError) -> Self {
-        let exit = match &error {
-            ConfigError::Unreadable { .. } => Exit::Unreadable,
-            ConfigError::Malformed { .. }
-            | ConfigError::OutOfRange { .. }
-            | ConfigError::Timecode { .. }
-            | ConfigError::Together { .. }
-            | ConfigError::Name { .. } => Exit::Malformed,
-        };
-        Self::new(exit, error.to_string())
+    TimecodeError {
+        _ => Usage,
     }
-}
-
-impl From<CameraError> for Failure {
-    fn from(error: CameraError) -> Self {
-        Self::new(Exit::BadCalibration, error.to_string())
+    ConfigError {
+        ConfigError::Unreadable { .. } => Unreadable,
+        _ => Malformed,
     }
-}
-
-impl From<ExportError> for Failure {
-    fn from(error: ExportError) -> Self {
-        Self::new(Exit::Unexpected, error.to_string())
+    CameraError {
+        _ => BadCalibration,
+    }
+    ExportError {
+        _ => Unexpected,
     }
 }
 

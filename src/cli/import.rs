@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use tempfile::TempPath;
 
 use super::Ended;
-use super::failure::{Exit, Failure, frame_rate_option, ratio};
+use super::failure::{Exit, Failure, failures, frame_rate_option, ratio};
 use super::overwrite::{Overwrite, check_ending, is_no_input};
 use super::rig::{ConventionArguments, tell};
 use super::solve::Progress;
@@ -109,27 +109,21 @@ fn assignment(text: &str) -> Result<(String, String), String> {
     Ok((folder.to_owned(), camera.to_owned()))
 }
 
-impl From<ImportError> for Failure {
-    fn from(error: ImportError) -> Self {
-        use ImportError as E;
-        let exit = match &error {
-            E::Read { .. } => Exit::Unreadable,
-            E::Camera { .. } | E::NoImageSize { .. } => Exit::BadCalibration,
-            E::NoCameraFolders { .. } | E::NoPeople { .. } => Exit::NoDetections,
-            E::CameraWithoutCalibration { .. } | E::CalibrationWithoutCamera { .. } => {
-                Exit::CameraMismatch
-            }
-            E::PointCount { .. }
-            | E::UnknownFormat { .. }
-            | E::UnknownCount { .. }
-            | E::Mapping { .. } => Exit::KeypointFormat,
-            E::FrameRate { .. }
-            | E::FrameRates { .. }
-            | E::UnknownName { .. }
-            | E::GivenTwice { .. } => Exit::Usage,
-            _ => Exit::Malformed,
-        };
-        Self::new(exit, error.to_string())
+failures! {
+    ImportError {
+        ImportError::Read { .. } => Unreadable,
+        ImportError::Camera { .. } | ImportError::NoImageSize { .. } => BadCalibration,
+        ImportError::NoCameraFolders { .. } | ImportError::NoPeople { .. } => NoDetections,
+        ImportError::CameraWithoutCalibration { .. } | ImportError::CalibrationWithoutCamera { .. } => CameraMismatch,
+        ImportError::PointCount { .. }
+        | ImportError::UnknownFormat { .. }
+        | ImportError::UnknownCount { .. }
+        | ImportError::Mapping { .. } => KeypointFormat,
+        ImportError::FrameRate { .. }
+        | ImportError::FrameRates { .. }
+        | ImportError::UnknownName { .. }
+        | ImportError::GivenTwice { .. } => Usage,
+        _ => Malformed,
     }
 }
 

@@ -8,7 +8,7 @@ use clap::Args;
 
 use super::Ended;
 use super::bus::{BusArguments, open, topics};
-use super::clock::{ATTENTION, Stop};
+use super::clock::{ATTENTION, PATIENCE, Stop};
 use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, check_ending};
 use super::terminal::{complain, note, say, table, ticker};
@@ -29,8 +29,6 @@ use crate::live::WallClock;
 const FLUSH: Duration = Duration::from_secs(1);
 /// How often recorders publish the free space of their disk.
 const FREE_SPACE: Duration = Duration::from_secs(10);
-/// A recorder that has heard nothing for this long says so.
-const PATIENCE: Duration = Duration::from_secs(5);
 /// How long a node may take to answer with its calibration.
 const QUERY: Duration = Duration::from_millis(300);
 

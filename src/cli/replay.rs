@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, failures};
 use super::overwrite::{Overwrite, check_ending};
 use super::solve::decoder;
 use super::terminal::{complain, say, table};
@@ -67,14 +67,11 @@ impl Arguments {
     }
 }
 
-impl From<ReplayError> for Failure {
-    fn from(error: ReplayError) -> Self {
-        let exit = match error {
-            ReplayError::NoJournal { .. } => Exit::NotOurs,
-            ReplayError::SeveralRuns { .. } => Exit::Usage,
-            _ => Exit::Malformed,
-        };
-        Self::new(exit, error.to_string())
+failures! {
+    ReplayError {
+        ReplayError::NoJournal { .. } => NotOurs,
+        ReplayError::SeveralRuns { .. } => Usage,
+        _ => Malformed,
     }
 }
 

@@ -9,7 +9,7 @@ use super::Ended;
 use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
 use super::export::{Changes, Lost, Solved, cut, path_of, read, states_of, write_states};
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, failures, in_part};
 use super::overwrite::{Overwrite, check_ending, is_no_input, is_same_file};
 use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
@@ -74,13 +74,10 @@ pub(super) struct Arguments {
     bus: BusArguments,
 }
 
-impl From<RetargetError> for Failure {
-    fn from(error: RetargetError) -> Self {
-        let exit = match &error {
-            RetargetError::Read { .. } => Exit::Unreadable,
-            _ => Exit::Malformed,
-        };
-        Self::new(exit, error.to_string())
+failures! {
+    RetargetError {
+        RetargetError::Read { .. } => Unreadable,
+        _ => Malformed,
     }
 }
 
@@ -158,11 +155,7 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
                     --map to give all the same";
         complain("note", text);
     }
-    if damage.is_empty() {
-        return Ok(Exit::Done);
-    }
-    complain("warning", &format!("{}: {}", from.display(), damage.join("; ")));
-    Ok(Exit::InPart)
+    Ok(in_part(from, &damage))
 }
 
 /// Writes the retargeted poses, sorted by capture time, to a file that begins at `start`.

@@ -261,7 +261,7 @@ impl Ready<'_> {
             over.store(true, Ordering::Relaxed);
             why
         });
-        let elder = elder.map(|elder| running.stand_back(elder));
+        let elder = elder.map(|elder| running.presence().stand_back(elder));
         tracing::info!("stopping: {why}");
         let status = running.stop()?;
         say_goodbye(&config.node.actor, status.as_ref());
@@ -416,20 +416,20 @@ fn wait(
         }
         if looked.elapsed() >= ELDERS {
             looked = Instant::now();
-            let is_connected = running.is_connected();
+            let is_connected = running.presence().is_connected();
             match (was_connected, is_connected) {
                 (true, false) => tracing::warn!("no connection to the router; it is tried again"),
                 (false, true) => tracing::warn!("connected to the router again"),
                 _ => {}
             }
             was_connected = is_connected;
-            let elder = running.elder();
+            let elder = running.presence().elder();
             if let Ok(Some(elder)) = elder {
                 return ("another node publishes this performer", Some(elder));
             }
             may_join &= running.status().is_none_or(|status| status.take.is_empty());
             if may_join && elder.is_ok() {
-                let take = running.recorded_take().unwrap_or_default();
+                let take = running.presence().recorded_take().unwrap_or_default();
                 looks = if take.is_empty() { 0 } else { looks + 1 };
                 if looks == LOOKS_TO_JOIN {
                     let join = Take { action: "join".into(), name: take, ..Take::default() };

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::Ended;
-use super::failure::{Exit, Failure, frame_rate_option, ratio};
+use super::failure::{Exit, Failure, frame_rate_option, ratio, value_name};
 use super::overwrite::{Overwrite, check_ending};
 use super::terminal::{progress, say};
 use crate::core::body::{Pose, Skeleton};
@@ -93,16 +93,6 @@ impl NoiseName {
             Self::Clean => Noise::clean(),
             Self::Studio => Noise::studio(),
             Self::Sparse => Noise::sparse(),
-        }
-    }
-
-    pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Jitter => "jitter",
-            Self::Clean => "clean",
-            Self::Studio => "studio",
-            Self::Sparse => "sparse",
         }
     }
 }
@@ -192,7 +182,7 @@ fn provenance(arguments: &Arguments) -> Provenance {
         arguments.fps,
         arguments.cameras,
         arguments.seed,
-        arguments.noise.name(),
+        value_name(arguments.noise),
         arguments.format,
         arguments.stagger
     );

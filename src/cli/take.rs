@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use super::Ended;
 use super::bus::{BusArguments, check_name, open, topics};
 use super::clock::ATTENTION;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, value_name};
 use super::terminal::{complain, say};
 use crate::cli::tools::inbox::Inbox;
 use crate::io::bus::{Bus, CommandPublisher};
@@ -123,23 +123,6 @@ enum Action {
 }
 
 impl Action {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Start => "start",
-            Self::Stop => "stop",
-            Self::Reset => "reset",
-            Self::Name => "name",
-            Self::Follow => "follow",
-            Self::Drop => "drop",
-            Self::Label => "label",
-            Self::Lock => "lock",
-            Self::Unlock => "unlock",
-            Self::Mend => "mend",
-            Self::Clock => "clock",
-            Self::Note => "note",
-        }
-    }
-
     /// Who must answer.
     const fn roles(self) -> &'static [&'static str] {
         match self {
@@ -158,7 +141,7 @@ pub(super) fn roles(action: &str) -> &'static [&'static str] {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let name = arguments.name.clone().unwrap_or_default();
     let mut take = Take {
-        action: arguments.action.name().into(),
+        action: value_name(arguments.action),
         name: name.clone(),
         note: arguments.note.clone(),
         mark: arguments.mark.clone().unwrap_or_default(),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, failures};
 use super::overwrite::Overwrite;
 use super::terminal::{progress, say};
 use crate::research::train::{
@@ -53,72 +53,18 @@ pub(super) struct Arguments {
     /// Manifold weights whose codes `--transition` uses; default: the embedded weights.
     #[arg(long, value_name = "FILE", requires = "transition")]
     manifold: Option<PathBuf>,
-    /// Held-out subjects, used only for evaluation.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    test_subjects: Vec<String>,
-    /// Seed of all random draws.
-    #[arg(long, default_value_t = Options::default().seed)]
-    seed: u64,
-    /// Optimiser steps.
-    #[arg(long, default_value_t = Options::default().steps)]
-    steps: usize,
-    /// Samples per step.
-    #[arg(long, default_value_t = Options::default().batch)]
-    batch: usize,
-    /// Latent dimensions in use, 1 to 32.
-    #[arg(long, default_value_t = Options::default().latent)]
-    latent: usize,
-    /// Hidden units per layer of the decoder, or of the transition model.
-    #[arg(long, default_value_t = Options::default().hidden)]
-    hidden: usize,
-    /// Hidden units per layer of the encoder.
-    #[arg(long, default_value_t = Options::default().encoder_hidden)]
-    encoder_hidden: usize,
-    /// Hidden layers of each network.
-    #[arg(long, default_value_t = Options::default().layers)]
-    layers: usize,
-    /// Peak learning rate.
-    #[arg(long, default_value_t = Options::default().learning_rate)]
-    learning_rate: f32,
-    /// Weight decay per step and unit of learning rate.
-    #[arg(long, default_value_t = Options::default().weight_decay)]
-    weight_decay: f32,
-    /// Weight of the KL divergence from a standard normal, per nat.
-    #[arg(long, default_value_t = Options::default().kl)]
-    kl: f32,
-    /// Weight of joint rotations outside the corpus, for random codes.
-    #[arg(long, default_value_t = Options::default().limits)]
-    limits: f32,
-    /// Weight of joint centres, per metre; the weight of rotations is 1 per radian.
-    #[arg(long, default_value_t = Options::default().position)]
-    position: f32,
-    /// Weight of interpolated poses relative to single poses.
-    #[arg(long, default_value_t = Options::default().between)]
-    between: f32,
-    /// Share of samples whose legs come from another clip.
-    #[arg(long, default_value_t = Options::default().mix)]
-    mix: f64,
-    /// Share of samples that are moved to another clip's mean pose.
-    #[arg(long, default_value_t = Options::default().restyle)]
-    restyle: f64,
-    /// Threads, 1 to 4; the result does not depend on it.
-    #[arg(long, default_value_t = Options::default().threads)]
-    threads: usize,
+    #[command(flatten)]
+    options: Options,
 }
 
-impl From<TrainError> for Failure {
-    fn from(error: TrainError) -> Self {
-        let exit = match &error {
-            TrainError::Read { .. } => Exit::Unreadable,
-            TrainError::NoClips { .. } => Exit::NoDetections,
-            TrainError::Bvh { .. } | TrainError::Joint { .. } => Exit::Malformed,
-            TrainError::Subject { .. }
-            | TrainError::NothingLeft { .. }
-            | TrainError::Option { .. } => Exit::Usage,
-            TrainError::Weights { .. } => Exit::Weights,
-            TrainError::Write { .. } | TrainError::Diverged { .. } => Exit::Unexpected,
-        };
-        Self::new(exit, error.to_string())
+failures! {
+    TrainError {
+        TrainError::Read { .. } => Unreadable,
+        TrainError::NoClips { .. } => NoDetections,
+        TrainError::Bvh { .. } | TrainError::Joint { .. } => Malformed,
+        TrainError::Subject { .. } | TrainError::NothingLeft { .. } | TrainError::Option { .. } => Usage,
+        TrainError::Weights { .. } => Weights,
+        TrainError::Write { .. } | TrainError::Diverged { .. } => Unexpected,
     }
 }
 
@@ -130,7 +76,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return run_transition(arguments);
     }
     if let Some(weights) = &arguments.evaluate {
-        say_errors(&evaluate(weights, &arguments.motions, &arguments.test_subjects)?);
+        say_errors(&evaluate(weights, &arguments.motions, &arguments.options.test_subjects)?);
         return Ok(Exit::Done);
     }
     let options = options(arguments);
@@ -152,7 +98,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 fn run_transition(arguments: &Arguments) -> Ended {
     let manifold = arguments.manifold.as_deref();
     if let Some(weights) = &arguments.evaluate {
-        let (motions, subjects) = (&arguments.motions, &arguments.test_subjects);
+        let (motions, subjects) = (&arguments.motions, &arguments.options.test_subjects);
         say_transition(&evaluate_transition(weights, manifold, motions, subjects)?);
         return Ok(Exit::Done);
     }
@@ -180,23 +126,7 @@ fn options(arguments: &Arguments) -> Options {
     Options {
         motions: arguments.motions.clone(),
         out: arguments.out.clone().unwrap_or_default(),
-        test_subjects: arguments.test_subjects.clone(),
-        seed: arguments.seed,
-        steps: arguments.steps,
-        batch: arguments.batch,
-        latent: arguments.latent,
-        hidden: arguments.hidden,
-        encoder_hidden: arguments.encoder_hidden,
-        layers: arguments.layers,
-        learning_rate: arguments.learning_rate,
-        weight_decay: arguments.weight_decay,
-        kl: arguments.kl,
-        limits: arguments.limits,
-        position: arguments.position,
-        between: arguments.between,
-        mix: arguments.mix,
-        restyle: arguments.restyle,
-        threads: arguments.threads,
+        ..arguments.options.clone()
     }
 }
 

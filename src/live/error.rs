@@ -11,6 +11,7 @@ use crate::io::wire::NameError;
 /// Why the node does not start, or stops.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)]
 pub enum NodeError {
     /// A topic cannot be used.
     #[error(transparent)]
@@ -21,58 +22,30 @@ pub enum NodeError {
     /// The name of the stage or the actor is not valid.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// There is nobody to solve.
     #[error("the node has no solver; give it one or more")]
     NoSolver,
     /// The calibration file cannot be used.
     #[error(transparent)]
     Rig(#[from] ImportError),
-    /// Another node publishes this performer.
     #[error(
         "another node publishes on stage {stage:?} what this one would (actor {actor:?}, or several performers): {elder}; \
          stop it, or wait for its end with --standby. Otherwise choose another [node] actor or, for several performers, \
          another [node] stage"
     )]
-    Occupied {
-        /// Name of the capture volume.
-        stage: String,
-        /// Name of the performer.
-        actor: String,
-        /// The other node.
-        elder: Elder,
-    },
-    /// The Prometheus endpoint cannot be opened.
+    Occupied { stage: String, actor: String, elder: Elder },
     #[error(
         "cannot listen for Prometheus on {address:?}: {reason}; give a free address and port, such \
          as 127.0.0.1:9464"
     )]
-    Prometheus {
-        /// The address from the settings.
-        address: String,
-        /// The reason from the system.
-        reason: String,
-    },
-    /// The log filter is not valid.
+    Prometheus { address: String, reason: String },
     #[error("{variable} is {value:?}: {reason}; use a level such as info, or off")]
-    Log {
-        /// The environment variable.
-        variable: &'static str,
-        /// Its value.
-        value: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// The system refuses another thread.
+    Log { variable: &'static str, value: String, reason: String },
     #[error("cannot start a thread: {0}; raise the limit of processes")]
     Thread(io::Error),
-    /// A thread ended too early, by a fault of this program.
     #[error(
         "the {thread} thread ended by itself; this is a fault of the program, please report it"
     )]
-    Fault {
-        /// Name of the thread.
-        thread: &'static str,
-    },
+    Fault { thread: &'static str },
 }
 
 /// A node that was announced before another one.

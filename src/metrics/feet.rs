@@ -123,23 +123,8 @@ impl FootSkateSums {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::body::{Joint, Pose, Skeleton};
-
-    const FPS: f64 = 50.0;
-
-    /// The rest pose with the pelvis at these positions along x, metres.
-    fn run(x: &[f64]) -> Vec<Posture> {
-        let at = |&x: &f64| {
-            let mut pose = Pose::rest();
-            pose.root_position = Vector3::new(x, 0.0, 0.0);
-            pose.posture(&Skeleton::default())
-        };
-        x.iter().map(at).collect()
-    }
-
-    fn close(a: f64, b: f64) {
-        assert!((a - b).abs() < 1e-9, "{a} is not {b}");
-    }
+    use crate::core::body::Joint;
+    use crate::metrics::walked::{FPS, close, run};
 
     #[test]
     fn feet_slide_when_they_should_stand() {

@@ -58,3 +58,27 @@ pub use pose_errors::{
     MeanAcceleration, PoseErrorSums, PoseErrors, acceleration_error, mean_acceleration, pose_errors,
 };
 pub use trend::{Interval, mean_interval, slope_interval};
+
+/// Made-up motions.
+#[cfg(test)]
+mod walked {
+    use nalgebra::Vector3;
+
+    use crate::core::body::{Pose, Posture, Skeleton};
+
+    pub(super) const FPS: f64 = 50.0;
+
+    /// The rest pose with the pelvis at these positions along x, metres.
+    pub(super) fn run(x: &[f64]) -> Vec<Posture> {
+        let at = |&x: &f64| {
+            let mut pose = Pose::rest();
+            pose.root_position = Vector3::new(x, 0.0, 0.0);
+            pose.posture(&Skeleton::default())
+        };
+        x.iter().map(at).collect()
+    }
+
+    pub(super) fn close(a: f64, b: f64) {
+        assert!((a - b).abs() < 1e-9, "{a} is not {b}");
+    }
+}

@@ -25,6 +25,8 @@ type Numbered<T> = Vec<(usize, T)>;
 /// The stage and its solvers.
 pub(crate) struct Driver {
     stage: Stage,
+    /// By performer.
+    solvers: Vec<TimedSolver>,
     decoder: Decoder,
     config: Config,
     /// `None`: the calling thread solves alone.
@@ -63,7 +65,8 @@ impl Driver {
         });
         // More threads for a window would slow down the other performers.
         let config = Config { threads: 1, ..config };
-        Self { stage, decoder, config, threads, batch: Vec::new(), steps: Vec::new() }
+        let (solvers, batch, steps) = (Vec::new(), Vec::new(), Vec::new());
+        Self { stage, solvers, decoder, config, threads, batch, steps }
     }
 
     /// The bodies of all performers so far.
@@ -100,10 +103,13 @@ impl Driver {
         }
         let before = std::mem::take(&mut self.steps);
         let (mut steps, inputs) = self.route(is_end);
-        let Self { stage, decoder, config, threads, .. } = self;
-        let all: Vec<_> = stage.trackers_mut().iter_mut().zip(inputs).enumerate().collect();
-        let solve = |(performer, (tracker, inputs))| {
-            TimedSolver::new(decoder.clone(), *config).run(performer, tracker, inputs)
+        let Self { stage, solvers, decoder, config, threads, .. } = self;
+        let new = || TimedSolver::new(decoder.clone(), *config);
+        solvers.resize_with(solvers.len().max(inputs.len()), new);
+        let all = stage.trackers_mut().iter_mut().zip(solvers).zip(inputs);
+        let all: Vec<_> = all.enumerate().collect();
+        let solve = |(performer, ((tracker, solver), inputs)): (_, ((_, &mut TimedSolver), _))| {
+            solver.run(performer, tracker, inputs)
         };
         let mut solved = Vec::new();
         match threads {

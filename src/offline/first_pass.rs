@@ -62,7 +62,7 @@ pub fn first_pass_settings(
         cost: cost::Config { correction_prior: 0.0, ..config.cost },
         ..config
     };
-    (settings, Effort { stride, ..Effort::full(&settings) })
+    (settings, Effort { stride, deviations: false, ..Effort::full(&settings) })
 }
 
 /// A camera's time offset: what is added to its capture times to agree with the other cameras.

@@ -31,30 +31,18 @@ use crate::live::{USED_AGAIN, advice, is_expected};
 
 /// Why the page cannot be served.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ViewError {
-    /// The address cannot be used.
     #[error(
         "cannot serve the page on {address:?}: {source}; give a free address and port, such as \
          127.0.0.1:8765"
     )]
-    Listen {
-        /// The given address.
-        address: String,
-        /// The reason from the system.
-        source: io::Error,
-    },
-    /// Foxglove's address cannot be used.
+    Listen { address: String, source: io::Error },
     #[error(
         "cannot serve Foxglove on {address:?}: {source}; give a free address and port, such as \
          127.0.0.1:8766"
     )]
-    Bridge {
-        /// The given address.
-        address: String,
-        /// The reason from the system.
-        source: io::Error,
-    },
-    /// The system refuses another thread.
+    Bridge { address: String, source: io::Error },
     #[error("cannot start a thread: {0}; raise the limit of processes")]
     Thread(io::Error),
     /// The recording cannot be read.

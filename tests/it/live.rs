@@ -187,13 +187,16 @@ impl World {
                 Output::Mended { .. } => {}
                 Output::Body { name, body: Some(body), .. } => drop(self.bodies.insert(name, body)),
                 Output::Body { name, .. } => drop(self.bodies.remove(&name)),
-                Output::Publish(publication) => self.heard.messages.push(Recorded {
-                    time: publication.due.map_or(self.now, |due| due.max(self.now)),
-                    capture: publication.capture,
-                    topic: publication.topic,
-                    schema: publication.content.schema().into(),
-                    payload: publication.content.encode(),
-                }),
+                Output::Publish(publication) => {
+                    let (schema, payload) = publication.content.encoded();
+                    self.heard.messages.push(Recorded {
+                        time: publication.due.map_or(self.now, |due| due.max(self.now)),
+                        capture: publication.capture,
+                        topic: publication.topic,
+                        schema: schema.into(),
+                        payload,
+                    });
+                }
             }
         }
     }

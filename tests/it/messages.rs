@@ -8,9 +8,13 @@ use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Perso
 use bundlemocap::core::manifold;
 use bundlemocap::core::so3;
 use bundlemocap::core::time::{Grid, Nanos, Timestamp};
+use bundlemocap::io::wire::journal_entry::Input;
 use bundlemocap::io::wire::{
-    CameraCounters, DecodeError, Event, HandOver, Keyframe, KeypointFrame, KeypointSet, LiveStamp,
-    Pose, RetargetedPose, Rig, Schema, Skeleton, Status, WindowCounters, decode, encode,
+    CameraCounters, DecodeError, Event, HandOver, Journal, JournalDropped, JournalEntry,
+    JournalLoss, JournalMessage, JournalPerformer, JournalPlayed, JournalSolved, JournalSolvers,
+    JournalStart, Keyframe, KeypointFrame, KeypointSet, LiveStamp, PerformerLabel, Pose,
+    RetargetedPose, Rig, Schema, Skeleton, StagePerformer, StageStatus, Status, Take, TakeAnswer,
+    WindowCounters, decode, encode,
 };
 use expect_test::{expect, expect_file};
 use nalgebra::{Matrix3, Point2, Vector3};
@@ -141,6 +145,120 @@ pub fn retargeted() -> RetargetedPose {
     }
 }
 
+fn label() -> PerformerLabel {
+    PerformerLabel { display_name: "Lead".into(), colour: "#0072b2".into(), locked: true }
+}
+
+fn known() -> JournalPerformer {
+    JournalPerformer {
+        number: 1,
+        body: Some(vec![1, 2, 3]),
+        seen_ns: 8_000_000_000,
+        points_m: vec![0.5, 1.0, -0.25],
+        lengths_m: vec![0.375, 12.0],
+        name: "lead".into(),
+        dropped: true,
+        offsets_are_known: true,
+    }
+}
+
+fn journal() -> Journal {
+    let start = JournalStart {
+        version: "0.1.0".into(),
+        config: "[node]".into(),
+        weights: WEIGHTS.into(),
+        platform: "x86_64-linux".into(),
+        rig: Some(vec![4, 5]),
+        run_id: 0x0123_4567_89ab_cdef,
+        body: Some(vec![6]),
+        take: "walk".into(),
+        latency_ns: 250_000_000,
+        time_offsets_ns: vec![0, -3_000_000],
+        performers: vec![known()],
+        left_out: vec![2],
+        labels: vec![label()],
+        usual_px: vec![3.5],
+        solvers: vec!["solver1".into()],
+        offsets_are_known: true,
+        solve_ns: 2_000_000,
+    };
+    let payload = Some(vec![7, 8]);
+    let message = JournalMessage { topic: "mocap/stage/rig".into(), hash: 9, payload };
+    let loss = JournalLoss { camera: "left".into(), dropped: 1, too_large: 2, bytes: 3 };
+    let inputs = [
+        Input::Start(start),
+        Input::Message(message),
+        Input::Solved(JournalSolved { job: 4, took_ns: 1_500_000, performer: 1 }),
+        Input::Tick(true),
+        Input::Played(JournalPlayed { deviation_us: vec![-12, 40] }),
+        Input::Dropped(JournalDropped { losses: vec![loss] }),
+        Input::Solvers(JournalSolvers { names: vec!["solver1".into()] }),
+        Input::End(true),
+    ];
+    let entries = inputs.into_iter().zip(1..);
+    let entry = |(input, time_ns)| JournalEntry { time_ns, input: Some(input) };
+    Journal { sequence: 3, entries: entries.map(entry).collect(), run_id: 0x0123_4567_89ab_cdef }
+}
+
+fn take() -> Take {
+    Take {
+        id: 5,
+        action: "label".into(),
+        name: "p3".into(),
+        note: "again".into(),
+        mark: "good".into(),
+        display_name: "Lead".into(),
+        colour: "#0072b2".into(),
+        new_name: "lead".into(),
+        place_m: vec![1.0, -0.5],
+        offset_ms: -20.0,
+    }
+}
+
+fn take_answer() -> TakeAnswer {
+    let (role, text) = ("recorder".into(), "recording to walk.mcap".into());
+    TakeAnswer { id: 5, role, text, refused: true, free_bytes: 1 << 30 }
+}
+
+fn stage_status() -> StageStatus {
+    let performer = StagePerformer {
+        name: "lead".into(),
+        life: "coasting".into(),
+        tracker_state: "tracking".into(),
+        solver: "solver1".into(),
+        place_m: vec![1.0, -0.5],
+        unseen_s: 0.25,
+        views: 4,
+        residual_px: 3.5,
+        label: Some(label()),
+    };
+    StageStatus {
+        capture_time_ns: 9_000_000_000,
+        node_time_ns: 9_100_000_000,
+        run_id: 0x0123_4567_89ab_cdef,
+        node: "actor".into(),
+        performers: vec![performer],
+        tentative: 1,
+        others: 2,
+        places: 8,
+        known: vec![known()],
+    }
+}
+
+fn keypoint_set() -> KeypointSet {
+    KeypointSet {
+        performer: 1,
+        frames: vec![keypoints()],
+        complete_ns: 1_240_000_000,
+        returns: true,
+        run_id: 0x0123_4567_89ab_cdef,
+        enters: true,
+        number: 77,
+        label: Some(label()),
+        rig_hash: 11,
+    }
+}
+
 fn keypoints() -> KeypointFrame {
     KeypointFrame::from_core(&detections(), "right", [1280, 720])
 }
@@ -234,6 +352,12 @@ fn the_encoding_has_not_changed() {
     expect_file!["../golden/event.snap"].assert_eq(&hex(&event()));
     expect_file!["../golden/status.snap"].assert_eq(&hex(&status()));
     expect_file!["../golden/retargeted_pose.snap"].assert_eq(&hex(&retargeted()));
+    expect_file!["../golden/journal.snap"].assert_eq(&hex(&journal()));
+    expect_file!["../golden/take.snap"].assert_eq(&hex(&take()));
+    expect_file!["../golden/take_answer.snap"].assert_eq(&hex(&take_answer()));
+    expect_file!["../golden/stage_status.snap"].assert_eq(&hex(&stage_status()));
+    expect_file!["../golden/keypoint_set.snap"].assert_eq(&hex(&keypoint_set()));
+    expect_file!["../golden/hand_over.snap"].assert_eq(&hex(&hand_over()));
 }
 
 #[test]
@@ -276,6 +400,12 @@ fn fields_of_a_later_version_are_skipped() {
     check(&event());
     check(&status());
     check(&retargeted());
+    check(&journal());
+    check(&take());
+    check(&take_answer());
+    check(&stage_status());
+    check(&keypoint_set());
+    check(&hand_over());
 }
 
 /// The state of a tracker in the middle of a motion.
@@ -307,6 +437,7 @@ fn decode_as_everything(bytes: &[u8]) -> usize {
     sound += usize::from(decode(bytes).is_ok_and(|m: RetargetedPose| m.validated().is_ok()));
     sound += usize::from(decode(bytes).is_ok_and(|m: HandOver| m.to_core().is_ok()));
     sound += usize::from(decode(bytes).is_ok_and(|m: KeypointSet| m.to_core(|_| Some(0)).is_ok()));
+    sound += usize::from(decode::<StageStatus>(bytes).is_ok());
     sound + usize::from(decode::<Status>(bytes).is_ok())
 }
 
@@ -322,7 +453,8 @@ fn no_bytes_panic() {
         encode(&event()),
         encode(&status()),
         encode(&retargeted()),
-        encode(&KeypointSet { frames: vec![keypoints()], ..KeypointSet::default() }),
+        encode(&keypoint_set()),
+        encode(&stage_status()),
         encode(&hand_over()),
     ];
     let (mut accepted, mut refused) = (0, 0);

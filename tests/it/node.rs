@@ -399,7 +399,7 @@ fn the_second_node_of_a_performer_stands_back() {
     let events = |kind: &str| {
         studio.heard.lock().unwrap().events.iter().filter(|event| event.kind == kind).count()
     };
-    assert_eq!((events("second_node"), first.elder().unwrap()), (1, None));
+    assert_eq!((events("second_node"), first.presence().elder().unwrap()), (1, None));
     let bus: Arc<dyn Bus> = Arc::new(studio.bus.clone());
     // Its clock is far behind.
     let announced = |topics: &Topics, several: bool| {
@@ -407,7 +407,7 @@ fn the_second_node_of_a_performer_stands_back() {
         Presence::announce(bus, topics.clone(), several, now).unwrap()
     };
     let standby = announced(&studio.topics, false);
-    assert_eq!(first.elder().unwrap(), None);
+    assert_eq!(first.presence().elder().unwrap(), None);
     let elder = standby.elder().unwrap().unwrap();
     assert!(error.to_string().contains(&elder.to_string()), "{error}; {elder}");
     first.stop().unwrap();

@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 
 use crate::cli::Ended;
 use crate::cli::bus::BusName;
-use crate::cli::failure::{Exit, Failure, frame_rate_option, json, ratio};
+use crate::cli::failure::{Exit, Failure, frame_rate_option, json, ratio, value_name};
 use crate::cli::synth::NoiseName;
 use crate::cli::terminal::{complain, progress, say, table};
 use crate::config::Config;
@@ -147,7 +147,7 @@ fn measure(arguments: &Latency) -> Result<Report, Failure> {
     }
     node.stop()?;
     let load = Load {
-        bus: format!("{:?}", arguments.bus).to_lowercase(),
+        bus: value_name(arguments.bus),
         cameras: arguments.cameras,
         fps,
         stagger: arguments.stagger,

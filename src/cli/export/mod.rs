@@ -12,7 +12,7 @@ pub(super) use self::files::{states_of, write_states};
 use self::options::Options;
 pub(super) use self::options::{Changes, Lost};
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, in_part, value_name};
 use super::overwrite::Overwrite;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
@@ -141,7 +141,7 @@ impl Format {
 
     /// Its name, which is also the ending of its files.
     fn name(self) -> String {
-        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+        value_name(self)
     }
 }
 
@@ -232,7 +232,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             complain("note", &format!("{} is of another export, not of this one", path.display()));
         }
     }
-    Ok(exit_of(&arguments.file, &solved.damage))
+    Ok(in_part(&arguments.file, &solved.damage))
 }
 
 /// Leaves what is exported of the performers; returns the time of the files' first frame: that of --start or of
@@ -386,15 +386,6 @@ fn write_foxglove(_: &Path, to: &Path) -> Result<Vec<String>, Failure> {
     let message =
         format!("{}: build the program with --features view for this format", to.display());
     Err(Failure::new(Exit::Usage, message))
-}
-
-/// The exit code of a file that was read; says what a damaged one lost.
-fn exit_of(file: &Path, damage: &[String]) -> Exit {
-    if damage.is_empty() {
-        return Exit::Done;
-    }
-    complain("warning", &format!("{}: {}", file.display(), damage.join("; ")));
-    Exit::InPart
 }
 
 /// The content of a solved recording.

@@ -40,15 +40,18 @@ pub(super) struct Options {
     /// The pose in which all rotations are zero: T, A with the arms 45 degrees lower, or N with hanging
     /// arms (.glb .usda .bvh .csv).
     #[arg(long, value_name = "POSE", default_value = "t", value_parser =
-        PossibleValuesParser::new(["t", "a", "n"]).map(|name| rest(&name)))]
+        PossibleValuesParser::new(RestPose::ALL.map(RestPose::name))
+            .map(|name| RestPose::from_name(&name).unwrap_or_default()))]
     rest: RestPose,
     /// Names of the joints (.glb .usda .bvh .csv).
     #[arg(long, value_name = "WHOSE", default_value = "ours", value_parser =
-        PossibleValuesParser::new(["ours", "mixamo", "unreal"]).map(|name| names(&name)))]
+        PossibleValuesParser::new(JointNames::ALL.map(JointNames::name))
+            .map(|name| JointNames::from_name(&name).unwrap_or_default()))]
     names: JointNames,
     /// Axes of the joints in that pose: y along the bone, or those of the world (.glb .usda).
     #[arg(long, value_name = "AXES", default_value = "bone", value_parser =
-        PossibleValuesParser::new(["bone", "world"]).map(|name| axes(&name)))]
+        PossibleValuesParser::new(JointAxes::ALL.map(JointAxes::name))
+            .map(|name| JointAxes::from_name(&name).unwrap_or_default()))]
     axes: JointAxes,
     /// Axis that points up (.bvh .trc .c3d .csv); with z, (x, y, z) becomes (z, x, y).
     #[arg(long, value_name = "AXIS", default_value = "y", value_parser =
@@ -75,29 +78,6 @@ fn rate(text: &str) -> Result<f64, String> {
     match ratio(text) {
         Ok(fps) if (0.1..=1000.0).contains(&fps) => Ok(fps),
         _ => Err("give 0.1 to 1000, such as 30 or 30000/1001".into()),
-    }
-}
-
-fn rest(name: &str) -> RestPose {
-    match name {
-        "a" => RestPose::A,
-        "n" => RestPose::N,
-        _ => RestPose::T,
-    }
-}
-
-fn names(name: &str) -> JointNames {
-    match name {
-        "mixamo" => JointNames::Mixamo,
-        "unreal" => JointNames::Unreal,
-        _ => JointNames::Ours,
-    }
-}
-
-fn axes(name: &str) -> JointAxes {
-    match name {
-        "world" => JointAxes::World,
-        _ => JointAxes::Bone,
     }
 }
 

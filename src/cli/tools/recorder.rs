@@ -24,6 +24,7 @@ const MARGIN: Nanos = Nanos::SECOND;
 const NOTES: &str = "takes.csv";
 /// Most inputs that are kept for the next take.
 const MOST_RECENT: usize = 65_536;
+const MOST_RECENT_BYTES: usize = 256 << 20;
 
 /// Counts of recorded messages.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -156,6 +157,7 @@ pub(crate) struct Recorder {
     rig: Option<RawEntry>,
     /// The inputs of the last second.
     recent: VecDeque<RawEntry>,
+    recent_bytes: usize,
     silence: Silence,
     room: Room,
     /// Topics above the limit are not said again.
@@ -188,6 +190,7 @@ impl Recorder {
             failed: 0,
             rig: None,
             recent: VecDeque::new(),
+            recent_bytes: 0,
             silence: Silence::default(),
             room: Room::default(),
             is_skipping_said: false,
@@ -225,6 +228,9 @@ impl Recorder {
         self.silence.came(&entry.topic, entry.log_time);
         match Topic::parse(&entry.topic) {
             Ok(Topic::Stage { channel: StageChannel::Rig, .. }) => self.rig = Some(entry),
+            Ok(Topic::Stage { channel: StageChannel::Status, .. }) => {
+                decode(&entry.payload).iter().for_each(|status| self.silence.forget_absent(status));
+            }
             Ok(
                 Topic::Stage { channel: StageChannel::Keypoints { .. }, .. }
                 | Topic::Actor {
@@ -233,10 +239,14 @@ impl Recorder {
                 },
             ) => {
                 let from = entry.log_time - MARGIN;
+                self.recent_bytes += entry.payload.len();
                 self.recent.push_back(entry);
-                let is_old = |first: &RawEntry| first.log_time < from;
-                while self.recent.len() > MOST_RECENT || self.recent.front().is_some_and(is_old) {
-                    self.recent.pop_front();
+                while self.recent.len() > MOST_RECENT
+                    || self.recent_bytes > MOST_RECENT_BYTES
+                    || self.recent.front().is_some_and(|first| first.log_time < from)
+                {
+                    let first = self.recent.pop_front();
+                    self.recent_bytes -= first.map_or(0, |first| first.payload.len());
                 }
             }
             _ => {}

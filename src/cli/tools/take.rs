@@ -52,31 +52,15 @@ pub(crate) enum TakeError {
     /// The recording cannot be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// No keypoints in the span.
     #[error("{path} has no keypoints from --start to --end")]
-    EmptySpan {
-        /// The recording.
-        path: PathBuf,
-    },
-    /// A recording without keypoints.
+    EmptySpan { path: PathBuf },
     #[error(
         "{path} holds no keypoints to play; give a recording of `bundlemocap import`, `synth` or \
          `record`"
     )]
-    NoKeypoints {
-        /// The recording.
-        path: PathBuf,
-    },
-    /// A camera that the recording does not have.
+    NoKeypoints { path: PathBuf },
     #[error("{path} has no keypoints of a camera {name:?}, but of {known}")]
-    UnknownCamera {
-        /// The recording.
-        path: PathBuf,
-        /// The name asked for.
-        name: String,
-        /// The cameras of the recording, separated by commas.
-        known: String,
-    },
+    UnknownCamera { path: PathBuf, name: String, known: String },
 }
 
 /// A message to send.

@@ -30,90 +30,37 @@ const MIN_FOCAL_PX: f64 = 1e-6;
 /// Why a camera or a rig cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)]
 pub enum CameraError {
-    /// The focal lengths are not positive, or the matrix is not upper triangular with a last
-    /// row 0, 0, 1.
     #[error(
         "camera {camera}: the intrinsic matrix is singular or no pinhole matrix \
          (fx {fx}, fy {fy}, determinant {determinant}); it must be [fx s cx; 0 fy cy; 0 0 1] \
          with positive fx and fy in pixels"
     )]
-    SingularIntrinsics {
-        /// The camera's name.
-        camera: String,
-        /// Entry (0, 0), pixels.
-        fx: f64,
-        /// Entry (1, 1), pixels.
-        fy: f64,
-        /// The determinant of the matrix.
-        determinant: f64,
-    },
-    /// R^T R is not the identity, or R is a reflection.
+    SingularIntrinsics { camera: String, fx: f64, fy: f64, determinant: f64 },
+    /// `off` is the largest absolute entry of R^T R - I.
     #[error(
         "camera {camera}: the rotation is no rotation (R^T R is off the identity by {off:.3e}, \
          determinant {determinant:.6}); check that the file holds a rotation from world to camera"
     )]
-    NotARotation {
-        /// The camera's name.
-        camera: String,
-        /// Largest absolute entry of R^T R - I.
-        off: f64,
-        /// det R.
-        determinant: f64,
-    },
-    /// A number is NaN or infinite.
+    NotARotation { camera: String, off: f64, determinant: f64 },
     #[error("camera {camera}: {field} holds a number that is not finite; calibrate it again")]
-    NotFinite {
-        /// The camera's name.
-        camera: String,
-        /// Which field.
-        field: &'static str,
-    },
-    /// The time offset is larger than a hundred years.
+    NotFinite { camera: String, field: &'static str },
     #[error(
         "camera {camera}: the time offset is {ms:.3e} ms, more than a hundred years; \
          correct time_offset_ms"
     )]
-    TimeOffset {
-        /// The camera's name.
-        camera: String,
-        /// Milliseconds.
-        ms: f64,
-    },
-    /// Width or height is zero.
+    TimeOffset { camera: String, ms: f64 },
     #[error(
         "camera {camera}: the image size {width}x{height} is empty; give width and height in pixels"
     )]
-    EmptyImage {
-        /// The camera's name.
-        camera: String,
-        /// Pixels.
-        width: u32,
-        /// Pixels.
-        height: u32,
-    },
-    /// The number of coefficients does not fit the lens model.
+    EmptyImage { camera: String, width: u32, height: u32 },
     #[error("a {model} lens has {expected} coefficients, not {found}")]
-    CoefficientCount {
-        /// The lens model.
-        model: &'static str,
-        /// The valid counts.
-        expected: &'static str,
-        /// The given count.
-        found: usize,
-    },
-    /// A rig has fewer than two cameras.
+    CoefficientCount { model: &'static str, expected: &'static str, found: usize },
     #[error("a rig needs at least two cameras, this one has {found}; add calibrated cameras")]
-    TooFewCameras {
-        /// The number of cameras.
-        found: usize,
-    },
-    /// Two cameras have the same name.
+    TooFewCameras { found: usize },
     #[error("two cameras of the rig are named {name}; give each a name of its own")]
-    DuplicateName {
-        /// The name.
-        name: String,
-    },
+    DuplicateName { name: String },
 }
 
 /// A calibrated camera that does not move.

@@ -15,8 +15,10 @@ const SAMPLED_PAIRS: usize = 66;
 const MIN_PARALLAX: f64 = 0.017453292519943295;
 /// Gauss-Newton steps after the linear solution; it converges in two or three.
 const REFINEMENTS: usize = 5;
-/// [`triangulate_near`] ends with a step that is shorter than this, metres.
+/// The refinement ends with a step that is shorter than this, metres: the next one would be far shorter still.
 const CLOSE_M: f64 = 1e-6;
+/// The same in [`triangulate_near`].
+const NEAR_CLOSE_M: f64 = 1e-4;
 
 /// What one camera saw: its index in the rig, the pixel, and the confidence in (0, 1].
 pub type View = (usize, Vector2<f64>, f64);
@@ -122,7 +124,7 @@ pub fn triangulate_near(
     let is_usable =
         |(camera, _, confidence): &View| *camera < rig.cameras.len() && *confidence > 0.0;
     if views.len() >= 2 && views.iter().all(is_usable) {
-        let point = gauss_newton(rig, views, &all, start, CLOSE_M);
+        let point = gauss_newton(rig, views, &all, start, NEAR_CLOSE_M);
         let ray =
             |i: usize| (point - rig.cameras[views[i].0].centre_in_world()).try_normalize(1e-6);
         let first = ray(0);
@@ -235,7 +237,7 @@ fn solve(
 ) -> Option<Vector3<f64>> {
     let start =
         linear(rig, views, rays, chosen).filter(|p| well_posed(rig, views, rays, chosen, p))?;
-    let point = gauss_newton(rig, views, chosen, start, 0.0);
+    let point = gauss_newton(rig, views, chosen, start, CLOSE_M);
     well_posed(rig, views, rays, chosen, &point).then_some(point)
 }
 

@@ -20,38 +20,18 @@ const VERSION: &str = "1";
 /// Why a weights file cannot be used.
 #[derive(Debug, Error)]
 #[non_exhaustive]
+#[allow(missing_docs)]
 pub enum WeightsError {
-    /// Not a safetensors file.
     #[error("the weights are not a safetensors file: {0}")]
     NotSafetensors(#[from] safetensors::SafeTensorError),
-    /// Another kind or version of file.
     #[error(
         "the weights' metadata has {key} = {found:?}, expected {expected:?}: train again with this version's `bundlemocap train`"
     )]
-    Metadata {
-        /// Metadata key.
-        key: &'static str,
-        /// The value in the file.
-        found: Option<String>,
-        /// The expected value.
-        expected: &'static str,
-    },
-    /// A tensor has another shape or type.
+    Metadata { key: &'static str, found: Option<String>, expected: &'static str },
     #[error("tensor {name} is {found}, expected {expected}")]
-    Shape {
-        /// Tensor name.
-        name: String,
-        /// The tensor in the file.
-        found: String,
-        /// The expected tensor.
-        expected: String,
-    },
-    /// A tensor holds a number that is not finite.
+    Shape { name: String, found: String, expected: String },
     #[error("tensor {name} holds a number that is not finite")]
-    NotFinite {
-        /// Tensor name.
-        name: String,
-    },
+    NotFinite { name: String },
 }
 
 /// A linear layer, weight \[out, in\] row-major.

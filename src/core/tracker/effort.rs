@@ -11,6 +11,8 @@ pub struct Effort {
     pub provisional_iterations: usize,
     /// Use every Nth frame of a camera.
     pub stride: usize,
+    /// Whether poses have standard deviations.
+    pub deviations: bool,
 }
 
 impl Effort {
@@ -25,6 +27,7 @@ impl Effort {
             iterations: config.iterations,
             provisional_iterations: config.provisional_iterations,
             stride: 1,
+            deviations: true,
         }
     }
 
@@ -46,6 +49,6 @@ impl Effort {
             4 => (part(full.iterations, 8), 0, 3),
             _ => (part(full.iterations, 15), 0, 5),
         };
-        Self { iterations, provisional_iterations, stride }
+        Self { iterations, provisional_iterations, stride, ..full }
     }
 }

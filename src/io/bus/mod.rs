@@ -197,82 +197,39 @@ pub fn delivery(topic: &str) -> Delivery {
 /// Why a call on the bus failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)]
 pub enum BusError {
-    /// A name that is not a topic or not a pattern.
+    /// `what` is `topic` or `pattern`.
     #[error("{name:?} is not a {what}: {reason}")]
-    Name {
-        /// The given name.
-        name: String,
-        /// `topic` or `pattern`.
-        what: &'static str,
-        /// What is wrong with the name.
-        reason: String,
-    },
-    /// The listen address is in use.
+    Name { name: String, what: &'static str, reason: String },
     #[error(
         "cannot listen on {endpoint}: address in use; another node runs there, or choose another \
          with [bus.zenoh] listen"
     )]
-    InUse {
-        /// The address from the settings.
-        endpoint: String,
-    },
-    /// No address answers.
+    InUse { endpoint: String },
+    /// `endpoints` are separated by commas.
     #[error(
         "nothing answers at {endpoints}; is `bundlemocap run` up? [bus.zenoh] connect says where \
          it is"
     )]
-    NobodyAnswers {
-        /// The addresses that were tried, separated by commas.
-        endpoints: String,
-    },
-    /// Something listens at an address, but does not accept the connection.
+    NobodyAnswers { endpoints: String },
     #[error("cannot connect to {endpoint}: {reason}")]
-    Refused {
-        /// The address.
-        endpoint: String,
-        /// Why, and what to do.
-        reason: String,
-    },
+    Refused { endpoint: String, reason: String },
     /// A setting that the transport refuses.
     #[error("[bus] {key} = {value}: {reason}")]
-    Setting {
-        /// The key, such as `zenoh.listen`.
-        key: &'static str,
-        /// The value from the settings.
-        value: String,
-        /// What is wrong with the value.
-        reason: String,
-    },
-    /// This program was built without the transport.
+    Setting { key: &'static str, value: String, reason: String },
+    /// `kind` is also the name of the feature.
     #[error(
         "[bus] kind = {kind:?}: this program was built without it; build it with --features {kind}"
     )]
-    NotBuilt {
-        /// Its name, also the name of the feature.
-        kind: &'static str,
-    },
-    /// A payload above the limit of the bus.
+    NotBuilt { kind: &'static str },
     #[error("{topic}: a payload of {bytes} bytes; this bus carries at most {most}")]
-    TooLarge {
-        /// The topic.
-        topic: String,
-        /// Its size.
-        bytes: usize,
-        /// The limit.
-        most: usize,
-    },
-    /// The transport is closed.
+    TooLarge { topic: String, bytes: usize, most: usize },
     #[error("the bus is closed")]
     Closed,
     /// The transport failed.
     #[error("{what}: {reason}")]
-    Transport {
-        /// What failed.
-        what: String,
-        /// The message from the transport.
-        reason: String,
-    },
+    Transport { what: String, reason: String },
 }
 
 #[cfg(any(feature = "zenoh", feature = "iceoryx2"))]

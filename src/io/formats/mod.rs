@@ -96,201 +96,78 @@ impl ExportError {
 /// Why an import failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)]
 pub enum ImportError {
-    /// A file or folder cannot be read.
     #[error("{}: cannot be read ({source}); check the path and its permissions", path.display())]
-    Read {
-        /// Path of the file or folder.
-        path: PathBuf,
-        /// The reason from the system.
-        source: std::io::Error,
-    },
-    /// The file is not a known kind of calibration.
+    Read { path: PathBuf, source: std::io::Error },
     #[error("{}: {what}; `bundlemocap rig --help` lists what is read", path.display())]
-    NotACalibration {
-        /// Path of the file.
-        path: PathBuf,
-        /// The fault, with its line or field.
-        what: String,
-    },
+    NotACalibration { path: PathBuf, what: String },
     /// A calibrated camera, or the set of them, cannot be used.
     #[error("{}: {source}", path.display())]
-    Camera {
-        /// The calibration.
-        path: PathBuf,
-        /// The camera and its fault.
-        source: CameraError,
-    },
-    /// No subfolder and no file holds detections.
+    Camera { path: PathBuf, source: CameraError },
+    /// `not_understood` is a part of the message; it may be empty.
     #[error(
         "{}: no detections are found in it; give the folder with a subfolder or a file for each \
          camera{not_understood}", path.display()
     )]
-    NoCameraFolders {
-        /// The folder.
-        path: PathBuf,
-        /// Its files that hold none, for the message; empty without any.
-        not_understood: String,
-    },
-    /// No file has a person.
+    NoCameraFolders { path: PathBuf, not_understood: String },
     #[error(
         "{}: nobody is seen in any frame, so the order of the points is not known; give --format",
         path.display()
     )]
-    NoPeople {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// A folder or camera that was named is not there.
+    NoPeople { path: PathBuf },
     #[error("{}: there is no {name}; there are {known}", path.display())]
-    UnknownName {
-        /// Folder with the detections.
-        path: PathBuf,
-        /// The given name.
-        name: String,
-        /// The known names.
-        known: String,
-    },
-    /// Points are shares of an image whose size nobody says.
+    UnknownName { path: PathBuf, name: String, known: String },
     #[error(
         "{}: camera {camera} has no image size, and its points are shares of the image; add width and height",
         path.display()
     )]
-    NoImageSize {
-        /// The calibration.
-        path: PathBuf,
-        /// The camera.
-        camera: String,
-    },
-    /// There are more folders than cameras.
+    NoImageSize { path: PathBuf, camera: String },
     #[error(
         "{}: no calibration for {folders}; calibrated are {cameras}; calibrate the camera, or move \
          away what is of no camera or of one that has other files", path.display()
     )]
-    CameraWithoutCalibration {
-        /// Folder with a subfolder or a file for each camera.
-        path: PathBuf,
-        /// Folders and files without a camera.
-        folders: String,
-        /// The calibrated cameras.
-        cameras: String,
-    },
-    /// There are more cameras than folders.
+    CameraWithoutCalibration { path: PathBuf, folders: String, cameras: String },
     #[error(
         "{}: no folder for calibrated camera {cameras}; folders are {folders}; add its \
          detections or remove it from the calibration", path.display()
     )]
-    CalibrationWithoutCamera {
-        /// Folder with one subfolder per camera.
-        path: PathBuf,
-        /// Folders with JSON files.
-        folders: String,
-        /// Cameras without a folder.
-        cameras: String,
-    },
-    /// A file name without a number, or with a number that is too large for a time.
+    CalibrationWithoutCamera { path: PathBuf, folders: String, cameras: String },
     #[error(
         "{}: no usable frame number in the file name; name files like cam01_000123_keypoints.json",
         path.display()
     )]
-    FrameNumber {
-        /// The file.
-        path: PathBuf,
-    },
-    /// Two files of one camera with the same frame number.
+    FrameNumber { path: PathBuf },
     #[error(
         "{}: frame {frame} appears twice ({first} and {second}); keep one recording per folder",
         path.display()
     )]
-    DuplicateFrame {
-        /// The camera's folder.
-        path: PathBuf,
-        /// The frame number.
-        frame: u64,
-        /// The first file name.
-        first: String,
-        /// The second file name.
-        second: String,
-    },
-    /// A folder or a camera is given twice.
+    DuplicateFrame { path: PathBuf, frame: u64, first: String, second: String },
     #[error("{}: {name} gives a folder or a camera twice; give each once", path.display())]
-    GivenTwice {
-        /// Folder with the detections.
-        path: PathBuf,
-        /// The folder and the camera.
-        name: String,
-    },
-    /// A file that is broken, or holds no detections.
+    GivenTwice { path: PathBuf, name: String },
     #[error("{}: {what}; `bundlemocap import --help` lists what is read", path.display())]
-    NotDetections {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        what: String,
-    },
-    /// The number of a person's points does not fit the order.
+    NotDetections { path: PathBuf, what: String },
     #[error(
         "{}: person {person} has {found} points, {} needs {}; {}",
         path.display(), order.name, order.needs(), fitting(*found)
     )]
-    PointCount {
-        /// The file.
-        path: PathBuf,
-        /// Index of the person in the frame.
-        person: usize,
-        /// How many points the person has.
-        found: usize,
-        /// The order of the points.
-        order: Box<PointOrder>,
-    },
-    /// A number of points that no order has.
+    PointCount { path: PathBuf, person: usize, found: usize, order: Box<PointOrder> },
     #[error(
         "{}: people have {count} points, which no known order has; say with --points where they are",
         path.display()
     )]
-    UnknownCount {
-        /// The folder.
-        path: PathBuf,
-        /// The number of points.
-        count: usize,
-    },
-    /// A mapping of points that cannot be used.
+    UnknownCount { path: PathBuf, count: usize },
     #[error("{}: {what}; --points FILE says where the points are", path.display())]
-    Mapping {
-        /// The mapping file, or the detections.
-        path: PathBuf,
-        /// What is wrong.
-        what: String,
-    },
-    /// An unknown keypoint format.
+    Mapping { path: PathBuf, what: String },
     #[error("unknown keypoint format {name}; known are {known}")]
-    UnknownFormat {
-        /// The given name.
-        name: String,
-        /// The known names.
-        known: String,
-    },
-    /// The videos of the cameras have different frame rates, hertz.
+    UnknownFormat { name: String, known: String },
     #[error(
         "{} has {hz:.3} frames a second, {} has {other:.3}; give the detections' frame rate (--fps 60, and --fps CAMERA=30 for a camera with another rate)",
         path.display(), second.display()
     )]
-    FrameRates {
-        /// A video.
-        path: PathBuf,
-        /// Its frame rate.
-        hz: f64,
-        /// Another video.
-        second: PathBuf,
-        /// Its frame rate.
-        other: f64,
-    },
-    /// A frame rate that is not positive and finite.
+    FrameRates { path: PathBuf, hz: f64, second: PathBuf, other: f64 },
     #[error("frame rate {fps} is not valid; give the cameras' rate, such as 60")]
-    FrameRate {
-        /// The given rate.
-        fps: f64,
-    },
+    FrameRate { fps: f64 },
 }
 
 impl ImportError {

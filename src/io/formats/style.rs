@@ -5,21 +5,24 @@ use nalgebra::{Matrix3, Vector3};
 use super::{Unit, Up};
 use crate::core::body::{Attachment, JOINTS, Joint, Pose, Skeleton};
 use crate::core::detections::Keypoint;
+use crate::core::named;
 use crate::core::so3;
 
 /// Length from wrist to knuckles, divided by the length of the forearm.
 const HAND: f64 = 0.33;
 
-/// The pose in which all rotations of a file are zero. It stands upright.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum RestPose {
-    /// The arms are level.
-    #[default]
-    T,
-    /// The arms point down by 45 degrees.
-    A,
-    /// The arms hang: a neutral pose.
-    N,
+named! {
+    /// The pose in which all rotations of a file are zero. It stands upright.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum RestPose {
+        /// The arms are level.
+        #[default]
+        T = "t",
+        /// The arms point down by 45 degrees.
+        A = "a",
+        /// The arms hang: a neutral pose.
+        N = "n",
+    }
 }
 
 impl RestPose {
@@ -39,16 +42,18 @@ impl RestPose {
     }
 }
 
-/// Whose names a file gives to joints.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum JointNames {
-    /// `pelvis`, `l_hip`, ...
-    #[default]
-    Ours,
-    /// `mixamorig:Hips`, `mixamorig:LeftUpLeg`, ...
-    Mixamo,
-    /// Those of Unreal's mannequin: `pelvis`, `thigh_l`, ...
-    Unreal,
+named! {
+    /// Whose names a file gives to joints.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum JointNames {
+        /// `pelvis`, `l_hip`, ...
+        #[default]
+        Ours = "ours",
+        /// `mixamorig:Hips`, `mixamorig:LeftUpLeg`, ...
+        Mixamo = "mixamo",
+        /// Those of Unreal's mannequin: `pelvis`, `thigh_l`, ...
+        Unreal = "unreal",
+    }
 }
 
 impl JointNames {
@@ -112,14 +117,16 @@ const UNREAL: [&str; JOINTS] = [
     "hand_r",
 ];
 
-/// The axes of a joint in the rest pose of a file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum JointAxes {
-    /// y along the bone and z to the front, of feet up: as Blender draws bones.
-    #[default]
-    Bone,
-    /// Those of the world.
-    World,
+named! {
+    /// The axes of a joint in the rest pose of a file.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum JointAxes {
+        /// y along the bone and z to the front, of feet up: as Blender draws bones.
+        #[default]
+        Bone = "bone",
+        /// Those of the world.
+        World = "world",
+    }
 }
 
 impl JointAxes {

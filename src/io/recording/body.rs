@@ -26,7 +26,7 @@ pub fn body_file(folder: &Path, name: &str) -> PathBuf {
 /// of another person with this name. Returns the path of the file if it was written.
 ///
 /// # Errors
-/// The file cannot be written.
+/// The file cannot be written, or nobody can have this name.
 pub fn write_body(
     folder: &Path,
     name: &str,
@@ -34,6 +34,10 @@ pub fn write_body(
     replace: bool,
 ) -> Result<Option<PathBuf>, RecordError> {
     let path = body_file(folder, name);
+    if valid_name(name).is_err() {
+        // It could be in another folder.
+        return Err(RecordError::NoName { path });
+    }
     if !replace && path.exists() {
         return Ok(None);
     }

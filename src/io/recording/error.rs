@@ -7,115 +7,53 @@ use std::path::{Path, PathBuf};
 /// Why a recording cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)]
 pub enum RecordError {
-    /// The file cannot be opened or read.
     #[error("cannot read {}: {source}", path.display())]
-    Read {
-        /// Path of the file.
-        path: PathBuf,
-        /// The reason from the system.
-        source: io::Error,
-    },
-    /// The file cannot be written.
+    Read { path: PathBuf, source: io::Error },
     #[error("cannot write {}: {source}; check that the folder exists and has room", path.display())]
-    Write {
-        /// Path of the file.
-        path: PathBuf,
-        /// The reason from the system.
-        source: io::Error,
-    },
-    /// A topic above [`Writer::MOST_TOPICS`](super::Writer::MOST_TOPICS); it is not written.
+    Write { path: PathBuf, source: io::Error },
+    /// The limit is [`Writer::MOST_TOPICS`](super::Writer::MOST_TOPICS).
     #[error("{topic} is not recorded: a recording has at most {most} topics")]
-    TooManyTopics {
-        /// The topic.
-        topic: String,
-        /// The limit.
-        most: usize,
-    },
-    /// The file is not an MCAP recording.
+    TooManyTopics { topic: String, most: usize },
     #[error("{} is not an MCAP recording: {found}; make one with `bundlemocap import`", path.display())]
-    NotMcap {
-        /// Path of the file.
-        path: PathBuf,
-        /// The first bytes of the file.
-        found: String,
-    },
-    /// The recording holds no messages of ours.
+    NotMcap { path: PathBuf, found: String },
     #[error(
         "{} holds no messages of bundlemocap.v1, but {}; make a recording of keypoints with \
          `bundlemocap import`",
         path.display(),
         topic_list(topics)
     )]
-    NoChannels {
-        /// Path of the file.
-        path: PathBuf,
-        /// Topics and schemas in the file.
-        topics: Vec<String>,
-    },
-    /// The recording holds no body.
+    NoChannels { path: PathBuf, topics: Vec<String> },
     #[error(
         "{} holds no body; give the poses.mcap of `bundlemocap solve` or a recorded live take",
         path.display()
     )]
-    NoBody {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// A file in a folder of known bodies that was not written by us.
+    NoBody { path: PathBuf },
     #[error(
         "{} holds no measured lengths of a body; files of known bodies are written by `run` and `solve` \
          with --bodies", path.display()
     )]
-    NoLengths {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// A folder with too many known bodies.
+    NoLengths { path: PathBuf },
     #[error("{}: {count} known bodies, at most 128; move those of people who do not come", path.display())]
-    ManyBodies {
-        /// Path of the folder.
-        path: PathBuf,
-        /// Number of files.
-        count: usize,
-    },
-    /// A file in a folder of known bodies whose name nobody can have.
+    ManyBodies { path: PathBuf, count: usize },
     #[error(
         "{}: a known body is called by its file: letters, digits, `-`, `_` and `.`, not p1, p2, ..., \
          and not like [node] actor; rename it", path.display()
     )]
-    NoName {
-        /// Path of the file.
-        path: PathBuf,
-    },
-    /// An unfinished live recording exists where a new one would be written.
+    NoName { path: PathBuf },
     #[error(
         "{} exists: a recorder writes it, or has not finished it; choose another name. If no recorder \
          writes it, rename or remove it; `bundlemocap info` reads it",
         part.display()
     )]
-    LeftOver {
-        /// Path of the file.
-        part: PathBuf,
-    },
-    /// No body of the actor that was asked for.
+    LeftOver { part: PathBuf },
+    /// `names` are separated by commas.
     #[error("{} holds no body of {actor}, but of {names}", path.display())]
-    NoBodyOf {
-        /// Path of the file.
-        path: PathBuf,
-        /// The actor.
-        actor: String,
-        /// The actors whose bodies it holds, separated by commas.
-        names: String,
-    },
-    /// Bodies of several actors, and none was named.
+    NoBodyOf { path: PathBuf, actor: String, names: String },
+    /// `names` are separated by commas.
     #[error("{} holds the bodies of {names}; name one with --body-actor", path.display())]
-    SeveralBodies {
-        /// Path of the file.
-        path: PathBuf,
-        /// The actors, separated by commas.
-        names: String,
-    },
+    SeveralBodies { path: PathBuf, names: String },
 }
 
 fn topic_list(topics: &[String]) -> String {

@@ -187,3 +187,17 @@ fn checked<T: Schema>(
     check(&message)?;
     Ok(message)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::wire::SCHEMAS;
+
+    #[test]
+    fn each_of_our_schemas_is_decoded() {
+        for (schema, _) in SCHEMAS {
+            let message = Message::decode("any", schema, ENCODING, &[]);
+            assert!(!matches!(message, Ok(Message::Other { .. })), "{schema}");
+        }
+    }
+}

@@ -1,7 +1,7 @@
 //! Reads a part of a recording by time.
 
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -100,7 +100,11 @@ impl Spans {
                 Ok(IndexedReadEvent::ReadChunkRequest { offset, length }) => {
                     file.seek(SeekFrom::Start(offset)).map_err(&read)?;
                     chunk.resize(length, 0);
-                    file.read_exact(&mut chunk).map_err(&read)?;
+                    match file.read_exact(&mut chunk) {
+                        // The file is cut.
+                        Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+                        read_all => read_all.map_err(&read)?,
+                    }
                     if reader.insert_chunk_record_data(offset, &chunk).is_err() {
                         return Ok(None);
                     }

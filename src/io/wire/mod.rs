@@ -11,6 +11,7 @@ mod hand_over;
 mod json;
 mod keyframe;
 mod keypoints;
+mod label;
 mod pose;
 mod retargeted;
 mod rig;
@@ -21,6 +22,8 @@ mod topic;
 pub use crate::core::time::TIMES_NS;
 pub use generated::*;
 pub use pose::LiveStamp;
+#[cfg(test)]
+pub(crate) use schema::SCHEMAS;
 pub use schema::{
     ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,
 };
@@ -31,60 +34,22 @@ pub use topic::{
 /// Why a message cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)]
 pub enum DecodeError {
-    /// The bytes are not Protocol Buffers, or are incomplete.
     #[error("{message}: not a message of this schema: {reason}")]
-    Malformed {
-        /// The expected schema.
-        message: &'static str,
-        /// The message from the decoder.
-        reason: prost::DecodeError,
-    },
-    /// A list of the wrong length.
+    Malformed { message: &'static str, reason: prost::DecodeError },
     #[error("{message}.{field}: {found} entries, expected {expected}")]
-    Length {
-        /// The schema.
-        message: &'static str,
-        /// The field.
-        field: &'static str,
-        /// Number of entries in the message.
-        found: usize,
-        /// Expected number of entries.
-        expected: usize,
-    },
-    /// A number that is NaN or infinite.
+    Length { message: &'static str, field: &'static str, found: usize, expected: usize },
     #[error("{message}.{field}: entry {index} is not a finite number")]
-    NotFinite {
-        /// The schema.
-        message: &'static str,
-        /// The field.
-        field: &'static str,
-        /// Index of the entry.
-        index: usize,
-    },
-    /// An unknown keypoint format.
+    NotFinite { message: &'static str, field: &'static str, index: usize },
     #[error(
         "KeypointFrame.format: unknown keypoint format {name:?}, use one of body_25, body_25b, \
          coco_17, halpe_26, coco_wholebody_133"
     )]
-    UnknownFormat {
-        /// The name in the message.
-        name: String,
-    },
-    /// A camera that is not in the rig.
+    UnknownFormat { name: String },
     #[error("KeypointFrame.camera: camera {name:?} is not in the rig, add its calibration")]
-    UnknownCamera {
-        /// The name in the message.
-        name: String,
-    },
+    UnknownCamera { name: String },
     /// Any other invalid value.
     #[error("{message}.{field}: {reason}")]
-    Invalid {
-        /// The schema.
-        message: &'static str,
-        /// The field.
-        field: &'static str,
-        /// What is wrong with the value.
-        reason: String,
-    },
+    Invalid { message: &'static str, field: &'static str, reason: String },
 }

@@ -29,8 +29,11 @@ macro_rules! schemas {
         })*
 
         /// Full name and descriptor of every schema.
-        const SCHEMAS: &[(&str, &[u8])] =
+        pub(crate) const SCHEMAS: &[(&str, &[u8])] =
             &[$(($message::FULL_NAME, $message::DESCRIPTOR),)*];
+
+        #[cfg(test)]
+        const FILES: &[&str] = &[$($file,)*];
     };
 }
 
@@ -118,6 +121,14 @@ mod tests {
         assert_eq!(names.collect::<Vec<_>>(), ours);
         assert_eq!(descriptor(&Pose::full_name()), Some(Pose::DESCRIPTOR));
         assert_eq!(descriptor("bundlemocap.v1.Nothing"), None);
+    }
+
+    #[test]
+    fn the_bytes_of_each_message_are_pinned() {
+        for file in FILES {
+            let path = format!("{}/tests/golden/{file}.snap", env!("CARGO_MANIFEST_DIR"));
+            assert!(std::fs::exists(&path).unwrap(), "{path} is missing; see tests/it/messages.rs");
+        }
     }
 
     #[test]

@@ -1,25 +1,4 @@
 //! Names of topics; the grammar is defined only here.
-//!
-//! | topic | message |
-//! |---|---|
-//! | `mocap/{stage}/rig` | `Rig` |
-//! | `mocap/{stage}/events` | `Event` that concerns no performer |
-//! | `mocap/{stage}/status` | `StageStatus` |
-//! | `mocap/{stage}/camera/{camera}/keypoints` | `KeypointFrame` |
-//! | `mocap/{stage}/take` | `Take` |
-//! | `mocap/{stage}/take/answers` | `TakeAnswer` |
-//! | `mocap/{stage}/actor/{actor}/keypoints` | `KeypointSet` with the performer alone |
-//! | `mocap/{stage}/actor/{actor}/hand_over` | `HandOver` |
-//! | `mocap/{stage}/actor/{actor}/skeleton` | `Skeleton` |
-//! | `mocap/{stage}/actor/{actor}/status` | `Status` |
-//! | `mocap/{stage}/actor/{actor}/events` | `Event` that concerns the performer |
-//! | `mocap/{stage}/actor/{actor}/keyframe` | `Keyframe` |
-//! | `mocap/{stage}/actor/{actor}/pose` | final `Pose` |
-//! | `mocap/{stage}/actor/{actor}/pose/provisional` | provisional `Pose` |
-//! | `mocap/{stage}/actor/{actor}/journal` | `Journal` |
-//! | `mocap/{stage}/actor/{actor}/retargeted/{name}` | `RetargetedPose` |
-//! | `mocap/{stage}/actor/{actor}/truth` | true `Pose` of a synthetic recording |
-//! | `mocap/{stage}/actor/{actor}/truth/skeleton` | true `Skeleton` of a synthetic recording |
 
 use std::fmt;
 
@@ -53,58 +32,6 @@ pub enum Topic<'a> {
     },
 }
 
-/// Kinds of topics that belong to a whole capture volume.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum StageChannel<'a> {
-    /// The calibration.
-    Rig,
-    /// Events that concern no performer: of cameras, clocks and queues.
-    Events,
-    /// Who is there.
-    Status,
-    /// The 2D keypoints of one camera.
-    Keypoints {
-        /// Name of the camera.
-        camera: &'a str,
-    },
-    /// Commands to nodes and recorders: a take begins or ends.
-    Take,
-    /// Answers to those commands.
-    TakeAnswers,
-}
-
-/// Kinds of topics that belong to one performer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum ActorChannel<'a> {
-    /// The performer's 2D keypoints in all cameras.
-    Keypoints,
-    /// What another node needs to go on with the performer.
-    HandOver,
-    /// The body.
-    Skeleton,
-    /// Counters of the node.
-    Status,
-    /// Events that concern the performer and the windows.
-    Events,
-    /// Solved keyframes.
-    Keyframe,
-    /// Final poses.
-    Pose,
-    /// Poses of the open window.
-    Provisional,
-    /// Inputs of the node.
-    Journal,
-    /// Poses on another skeleton.
-    Retargeted {
-        /// Name of that skeleton.
-        name: &'a str,
-    },
-    /// True poses of a synthetic recording.
-    Truth,
-    /// The true body of a synthetic recording.
-    TruthSkeleton,
-}
-
 /// The text is not a topic of ours.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
@@ -121,7 +48,7 @@ impl<'a> Topic<'a> {
     /// as a name. [`valid_name`] checks names that people choose.
     ///
     /// # Errors
-    /// The text is not one of the topics listed above.
+    /// The text is not one of our topics.
     pub fn parse(text: &'a str) -> Result<Self, TopicError> {
         Self::of_parts(text).ok_or_else(|| TopicError { text: text.to_owned() })
     }
@@ -138,22 +65,21 @@ impl<'a> Topic<'a> {
         Some(Self::Stage { stage, channel: StageChannel::parse(rest)? })
     }
 
-    fn facts(&self) -> Facts {
-        match self {
-            Self::Stage { channel, .. } => channel.facts(),
-            Self::Actor { channel, .. } => channel.facts(),
-        }
-    }
-
     /// Full name of the schema of messages on this topic.
     pub fn schema(&self) -> &'static str {
-        self.facts().schema
+        match self {
+            Self::Stage { channel, .. } => channel.schema(),
+            Self::Actor { channel, .. } => channel.schema(),
+        }
     }
 
     /// Number of last messages that late joiners get; `None` for streams, whose messages are useful
     /// only while they are new.
     pub fn history(&self) -> Option<usize> {
-        self.facts().history
+        match self {
+            Self::Stage { channel, .. } => channel.history(),
+            Self::Actor { channel, .. } => channel.history(),
+        }
     }
 
     /// Name of the capture volume.
@@ -180,80 +106,123 @@ impl<'a> Topic<'a> {
     }
 }
 
-/// What is the same for all topics of a channel.
-struct Facts {
-    /// The end of the topic, or its first part if a name follows.
-    path: &'static str,
-    /// Full name.
-    schema: &'static str,
-    /// See [`Topic::history`].
-    history: Option<usize>,
-}
-
-const fn facts(path: &'static str, schema: &'static str, history: Option<usize>) -> Facts {
-    Facts { path, schema, history }
-}
-
-impl<'a> StageChannel<'a> {
-    const WITHOUT_NAME: [Self; 5] =
-        [Self::Rig, Self::Events, Self::Status, Self::Take, Self::TakeAnswers];
-
-    fn facts(&self) -> Facts {
-        match self {
-            Self::Rig => facts("rig", Rig::FULL_NAME, Some(1)),
-            Self::Events => facts("events", Event::FULL_NAME, Some(64)),
-            Self::Status => facts("status", StageStatus::FULL_NAME, Some(1)),
-            Self::Take => facts("take", Take::FULL_NAME, Some(1)),
-            Self::TakeAnswers => facts("take/answers", TakeAnswer::FULL_NAME, Some(8)),
-            Self::Keypoints { .. } => facts("camera", KeypointFrame::FULL_NAME, None),
+/// Kinds of topics: each with the end of its topics, the message on them, the number of last messages that late joiners
+/// get, and its method of [`Topics`]. The topics of the first kind have a name in them.
+macro_rules! channels {
+    ($(#[$about:meta])* $Channel:ident, $of:ident {
+        $(#[$named_doc:meta])* $Named:ident { $name:ident } = $first:literal, $last:literal:
+            $NamedMessage:ident, $named_history:expr, $named_method:ident;
+        $($(#[$doc:meta])* $Kind:ident = $path:literal: $Message:ident, $history:expr, $method:ident;)+
+    }) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum $Channel<'a> {
+            $($(#[$doc])* $Kind,)+
+            $(#[$named_doc])*
+            $Named {
+                /// The name.
+                $name: &'a str,
+            },
         }
-    }
 
-    fn parse(text: &'a str) -> Option<Self> {
-        Self::WITHOUT_NAME.into_iter().find(|channel| channel.facts().path == text).or_else(|| {
-            let (camera, rest) = text.strip_prefix("camera/")?.split_once('/')?;
-            (rest == "keypoints").then_some(Self::Keypoints { camera })
-        })
+        impl<'a> $Channel<'a> {
+            fn parse(text: &'a str) -> Option<Self> {
+                match text {
+                    $($path => Some(Self::$Kind),)+
+                    _ => {
+                        let $name = text.strip_prefix($first)?.strip_suffix($last)?;
+                        (!$name.contains('/')).then_some(Self::$Named { $name })
+                    }
+                }
+            }
+
+            fn schema(&self) -> &'static str {
+                match self {
+                    $(Self::$Kind => $Message::FULL_NAME,)+
+                    Self::$Named { .. } => $NamedMessage::FULL_NAME,
+                }
+            }
+
+            fn history(&self) -> Option<usize> {
+                match self {
+                    $(Self::$Kind => $history,)+
+                    Self::$Named { .. } => $named_history,
+                }
+            }
+        }
+
+        impl fmt::Display for $Channel<'_> {
+            fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+                match self {
+                    $(Self::$Kind => to.write_str($path),)+
+                    Self::$Named { $name } => write!(to, "{}{}{}", $first, $name, $last),
+                }
+            }
+        }
+
+        impl Topics {
+            $(
+                $(#[$doc])*
+                #[doc = concat!("\n\nIts messages are [`", stringify!($Message), "`].")]
+                pub fn $method(&self) -> String {
+                    self.$of($Channel::$Kind)
+                }
+            )+
+
+            $(#[$named_doc])*
+            #[doc = concat!("\n\nIts messages are [`", stringify!($NamedMessage), "`].")]
+            pub fn $named_method(&self, $name: &str) -> String {
+                self.$of($Channel::$Named { $name })
+            }
+        }
+    };
+}
+
+channels! {
+    /// Kinds of topics that belong to a whole capture volume.
+    StageChannel, of_stage {
+        /// The 2D keypoints of one camera.
+        Keypoints { camera } = "camera/", "/keypoints": KeypointFrame, None, keypoints;
+        /// The calibration.
+        Rig = "rig": Rig, Some(1), rig;
+        /// Events that concern no performer: of cameras, clocks and queues.
+        Events = "events": Event, Some(64), stage_events;
+        /// Who is there.
+        Status = "status": StageStatus, Some(1), stage_status;
+        /// Commands to nodes and recorders, such as that a take begins.
+        Take = "take": Take, Some(1), take;
+        /// Answers to those commands.
+        TakeAnswers = "take/answers": TakeAnswer, Some(8), take_answers;
     }
 }
 
-impl<'a> ActorChannel<'a> {
-    const WITHOUT_NAME: [Self; 11] = [
-        Self::Keypoints,
-        Self::HandOver,
-        Self::Skeleton,
-        Self::Status,
-        Self::Events,
-        Self::Keyframe,
-        Self::Pose,
-        Self::Provisional,
-        Self::Journal,
-        Self::Truth,
-        Self::TruthSkeleton,
-    ];
-
-    fn facts(&self) -> Facts {
-        match self {
-            Self::Keypoints => facts("keypoints", KeypointSet::FULL_NAME, None),
-            Self::HandOver => facts("hand_over", HandOver::FULL_NAME, Some(1)),
-            Self::Skeleton => facts("skeleton", Skeleton::FULL_NAME, Some(1)),
-            Self::Status => facts("status", Status::FULL_NAME, Some(1)),
-            Self::Events => facts("events", Event::FULL_NAME, Some(64)),
-            Self::Keyframe => facts("keyframe", Keyframe::FULL_NAME, Some(8)),
-            Self::Pose => facts("pose", Pose::FULL_NAME, None),
-            Self::Provisional => facts("pose/provisional", Pose::FULL_NAME, None),
-            Self::Journal => facts("journal", Journal::FULL_NAME, Some(256)),
-            Self::Retargeted { .. } => facts("retargeted", RetargetedPose::FULL_NAME, None),
-            Self::Truth => facts("truth", Pose::FULL_NAME, None),
-            Self::TruthSkeleton => facts("truth/skeleton", Skeleton::FULL_NAME, None),
-        }
-    }
-
-    fn parse(text: &'a str) -> Option<Self> {
-        Self::WITHOUT_NAME.into_iter().find(|channel| channel.facts().path == text).or_else(|| {
-            let name = text.strip_prefix("retargeted/")?;
-            (!name.contains('/')).then_some(Self::Retargeted { name })
-        })
+channels! {
+    /// Kinds of topics that belong to one performer.
+    ActorChannel, of_actor {
+        /// Poses on another skeleton, which has this name.
+        Retargeted { name } = "retargeted/", "": RetargetedPose, None, retargeted;
+        /// The performer's 2D keypoints in all cameras.
+        Keypoints = "keypoints": KeypointSet, None, actor_keypoints;
+        /// What another node needs to go on with the performer.
+        HandOver = "hand_over": HandOver, Some(1), hand_over;
+        /// The body.
+        Skeleton = "skeleton": Skeleton, Some(1), skeleton;
+        /// Counters of the node.
+        Status = "status": Status, Some(1), status;
+        /// Events that concern the performer and the windows.
+        Events = "events": Event, Some(64), actor_events;
+        /// Solved keyframes.
+        Keyframe = "keyframe": Keyframe, Some(8), keyframe;
+        /// Final poses.
+        Pose = "pose": Pose, None, pose;
+        /// Poses of the open window.
+        Provisional = "pose/provisional": Pose, None, provisional;
+        /// Inputs of the node.
+        Journal = "journal": Journal, Some(256), journal;
+        /// True poses of a synthetic recording.
+        Truth = "truth": Pose, None, truth;
+        /// The true body of a synthetic recording.
+        TruthSkeleton = "truth/skeleton": Skeleton, None, truth_skeleton;
     }
 }
 
@@ -264,24 +233,6 @@ impl fmt::Display for Topic<'_> {
             Self::Actor { stage, actor, channel } => {
                 write!(to, "{ROOT}/{stage}/actor/{actor}/{channel}")
             }
-        }
-    }
-}
-
-impl fmt::Display for StageChannel<'_> {
-    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Keypoints { camera } => write!(to, "camera/{camera}/keypoints"),
-            channel => to.write_str(channel.facts().path),
-        }
-    }
-}
-
-impl fmt::Display for ActorChannel<'_> {
-    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Retargeted { name } => write!(to, "retargeted/{name}"),
-            channel => to.write_str(channel.facts().path),
         }
     }
 }
@@ -346,21 +297,6 @@ impl Topics {
         Topic::Actor { stage: &self.stage, actor: &self.actor, channel }.to_string()
     }
 
-    /// Topic of [`KeypointFrame`], one per camera.
-    pub fn keypoints(&self, camera: &str) -> String {
-        self.of_stage(StageChannel::Keypoints { camera })
-    }
-
-    /// Topic of [`KeypointSet`], with the performer alone.
-    pub fn actor_keypoints(&self) -> String {
-        self.of_actor(ActorChannel::Keypoints)
-    }
-
-    /// Topic of [`HandOver`].
-    pub fn hand_over(&self) -> String {
-        self.of_actor(ActorChannel::HandOver)
-    }
-
     /// The name under which the solver that is called like this actor announces itself to those that share the
     /// performers of the stage.
     pub fn solver(&self) -> String {
@@ -372,87 +308,12 @@ impl Topics {
         format!("{ROOT}/{}/take/recorded/{name}", self.stage)
     }
 
-    /// Topic of [`Rig`].
-    pub fn rig(&self) -> String {
-        self.of_stage(StageChannel::Rig)
-    }
-
-    /// Topic of [`Take`]: commands to nodes and recorders.
-    pub fn take(&self) -> String {
-        self.of_stage(StageChannel::Take)
-    }
-
-    /// Topic of [`TakeAnswer`].
-    pub fn take_answers(&self) -> String {
-        self.of_stage(StageChannel::TakeAnswers)
-    }
-
-    /// Topic of each [`Event`] that concerns no performer.
-    pub fn stage_events(&self) -> String {
-        self.of_stage(StageChannel::Events)
-    }
-
-    /// Topic of [`StageStatus`]: who is there.
-    pub fn stage_status(&self) -> String {
-        self.of_stage(StageChannel::Status)
-    }
-
-    /// Topic of each [`Event`] that concerns the performer.
-    pub fn actor_events(&self) -> String {
-        self.of_actor(ActorChannel::Events)
-    }
-
     /// Topic of each [`Event`] of that kind.
     pub fn events(&self, kind: EventKind) -> String {
         match super::event::concerns_performer(kind) {
             true => self.actor_events(),
             false => self.stage_events(),
         }
-    }
-
-    /// Topic of final [`Pose`]s.
-    pub fn pose(&self) -> String {
-        self.of_actor(ActorChannel::Pose)
-    }
-
-    /// Topic of provisional [`Pose`]s, of the open window.
-    pub fn provisional(&self) -> String {
-        self.of_actor(ActorChannel::Provisional)
-    }
-
-    /// Topic of [`RetargetedPose`], on the skeleton with that name.
-    pub fn retargeted(&self, name: &str) -> String {
-        self.of_actor(ActorChannel::Retargeted { name })
-    }
-
-    /// Topic of [`Journal`].
-    pub fn journal(&self) -> String {
-        self.of_actor(ActorChannel::Journal)
-    }
-
-    /// Topic of [`Keyframe`].
-    pub fn keyframe(&self) -> String {
-        self.of_actor(ActorChannel::Keyframe)
-    }
-
-    /// Topic of [`Skeleton`].
-    pub fn skeleton(&self) -> String {
-        self.of_actor(ActorChannel::Skeleton)
-    }
-
-    /// Topic of [`Status`].
-    pub fn status(&self) -> String {
-        self.of_actor(ActorChannel::Status)
-    }
-
-    /// Topic of the true [`Pose`] in a synthetic recording.
-    pub fn truth(&self) -> String {
-        self.of_actor(ActorChannel::Truth)
-    }
-
-    /// Topic of the true [`Skeleton`] in a synthetic recording.
-    pub fn truth_skeleton(&self) -> String {
-        self.of_actor(ActorChannel::TruthSkeleton)
     }
 
     /// All topics that a node publishes; not the rig, which is also an input.
@@ -504,6 +365,7 @@ mod tests {
             of_stage("mocap/s/status", StageChannel::Status),
             of_stage("mocap/s/take/answers", StageChannel::TakeAnswers),
             of_actor("mocap/s/actor/a/keypoints", ActorChannel::Keypoints),
+            of_actor("mocap/s/actor/a/hand_over", ActorChannel::HandOver),
             of_actor("mocap/s/actor/a/skeleton", ActorChannel::Skeleton),
             of_actor("mocap/s/actor/a/status", ActorChannel::Status),
             of_actor("mocap/s/actor/a/events", ActorChannel::Events),

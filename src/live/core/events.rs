@@ -36,7 +36,9 @@ impl Events {
         performer: Option<PerformerId>,
         camera: Option<&str>,
     ) -> Option<wire::Event> {
-        *self.counts.entry(event.kind).or_default() += event.count;
+        // Other nodes send any number.
+        let total = self.counts.entry(event.kind).or_default();
+        *total = total.saturating_add(event.count);
         let message = wire::Event::from_core(event, camera);
         let camera = camera.filter(|_| self.bundles.len() < MOST_BUNDLES).map(str::to_owned);
         let bundle = self.bundles.entry((event.kind, performer, camera)).or_default();
@@ -45,7 +47,8 @@ impl Events {
             return Some(message);
         }
         let before = bundle.waiting.take().map_or(0, |waiting| waiting.count);
-        bundle.waiting = Some(wire::Event { count: before + message.count, ..message });
+        bundle.waiting =
+            Some(wire::Event { count: message.count.saturating_add(before), ..message });
         None
     }
 

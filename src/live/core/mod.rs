@@ -314,7 +314,7 @@ impl Core {
             self.queue_dropped += dropped + too_large;
             if dropped > 0 {
                 let detail = match camera {
-                    Some(_) => "more messages than the node reads; the oldest were dropped",
+                    Some(_) => "more messages than the node reads; they were dropped",
                     None => {
                         "too many rigs, slates, or messages of cameras that the rig does not have"
                     }

@@ -1,5 +1,6 @@
 //! Inputs, outputs and settings of the core.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
@@ -182,13 +183,18 @@ impl Carried {
     }
 }
 
-/// The performers of another node, from its status.
+/// The performers of another node, from its status: each number once, and only names that a performer can have.
 pub fn people_of(status: &StageStatus) -> Vec<Known> {
+    let mut numbers = BTreeSet::new();
     let is_sound = |one: &&JournalPerformer| {
         (one.number as usize) < PerformerId::MOST
+            && numbers.insert(one.number)
             && one.lengths_m.iter().all(|length| length.is_finite())
     };
-    status.known.iter().filter(is_sound).map(known).collect()
+    let mut all: Vec<Known> = status.known.iter().filter(is_sound).map(known).collect();
+    let is_name = |name: &str| wire::valid_name(name).is_ok() && name != status.node;
+    all.iter_mut().filter(|one| !is_name(&one.name)).for_each(|one| one.name.clear());
+    all
 }
 
 /// A performer of the run before, from the head of a journal.
@@ -230,5 +236,29 @@ pub(super) fn wire_known(known: &Known) -> JournalPerformer {
         seen_ns: known.seen.ns(),
         points_m: known.points.iter().flat_map(point).collect(),
         lengths_m: known.lengths.as_flattened().to_vec(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_sound_performers_of_another_node_are_taken_over() {
+        let of = |(number, name): (u32, &str)| JournalPerformer {
+            number,
+            name: name.to_owned(),
+            lengths_m: vec![0.4, 10.0],
+            ..JournalPerformer::default()
+        };
+        let names = ["lead", "../lead", "/tmp/lead", "a*", "actor", "lead"];
+        let numbers = [1, 2, 3, 4, 5, 1];
+        let mut known: Vec<_> = numbers.into_iter().zip(names).map(of).collect();
+        let broken = JournalPerformer { lengths_m: vec![f64::NAN; 2], ..of((6, "other")) };
+        known.extend([broken, of((u32::MAX, "far"))]);
+        let node = "actor".to_owned();
+        let people = people_of(&StageStatus { node, known, ..StageStatus::default() });
+        let found: Vec<_> = people.iter().map(|one| (one.performer.0, &*one.name)).collect();
+        assert_eq!(found, [(1, "lead"), (2, ""), (3, ""), (4, ""), (5, "")]);
     }
 }

@@ -49,37 +49,23 @@ pub enum Content {
 }
 
 impl Content {
-    /// Full name of the schema.
-    pub fn schema(&self) -> &'static str {
-        match self {
-            Self::Event(_) => Event::FULL_NAME,
-            Self::Status(_) => Status::FULL_NAME,
-            Self::StageStatus(_) => StageStatus::FULL_NAME,
-            Self::Rig(_) => Rig::FULL_NAME,
-            Self::Skeleton(_) => Skeleton::FULL_NAME,
-            Self::Pose(_) => Pose::FULL_NAME,
-            Self::Keyframe(_) => Keyframe::FULL_NAME,
-            Self::Journal(_) => Journal::FULL_NAME,
-            Self::Answer(_) => TakeAnswer::FULL_NAME,
-            Self::Keypoints(_) => KeypointSet::FULL_NAME,
-            Self::HandOver(_) => HandOver::FULL_NAME,
+    /// Full name of the schema, and the bytes of the message.
+    pub fn encoded(&self) -> (&'static str, Vec<u8>) {
+        fn of<T: Schema>(message: &T) -> (&'static str, Vec<u8>) {
+            (T::FULL_NAME, encode(message))
         }
-    }
-
-    /// The bytes of the message.
-    pub fn encode(&self) -> Vec<u8> {
         match self {
-            Self::Event(message) => encode(message),
-            Self::Status(message) => encode(&**message),
-            Self::StageStatus(message) => encode(message),
-            Self::Rig(message) => encode(message),
-            Self::Skeleton(message) => encode(message),
-            Self::Pose(message) => encode(message),
-            Self::Keyframe(message) => encode(message),
-            Self::Journal(message) => encode(message),
-            Self::Answer(message) => encode(message),
-            Self::Keypoints(message) => encode(message),
-            Self::HandOver(message) => encode(&**message),
+            Self::Event(message) => of(message),
+            Self::Status(message) => of(&**message),
+            Self::StageStatus(message) => of(message),
+            Self::Rig(message) => of(message),
+            Self::Skeleton(message) => of(message),
+            Self::Pose(message) => of(message),
+            Self::Keyframe(message) => of(message),
+            Self::Journal(message) => of(message),
+            Self::Answer(message) => of(message),
+            Self::Keypoints(message) => of(message),
+            Self::HandOver(message) => of(&**message),
         }
     }
 }

@@ -274,12 +274,12 @@ impl Core {
     /// times of this performer's sets went back. After a pause, the sets of one performer come before those of the next.
     fn note_arrivals(&mut self, frames: &[Detections], is_back: bool) {
         // Who enters brings frames of some time before.
-        let is_newest = |frame: &&Detections| {
-            frames
-                .iter()
-                .all(|other| other.camera != frame.camera || other.capture <= frame.capture)
-        };
-        for frame in frames.iter().filter(is_newest) {
+        let mut last = BTreeMap::new();
+        for frame in frames {
+            let capture = last.entry(frame.camera).or_insert(frame.capture);
+            *capture = frame.capture.max(*capture);
+        }
+        for frame in frames.iter().filter(|frame| last[&frame.camera] == frame.capture) {
             let newest = self.sharing.newest.entry(frame.camera).or_insert(frame.capture);
             let is_back = is_back && *newest - frame.capture > BACK;
             if frame.capture > *newest || is_back {

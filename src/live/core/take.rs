@@ -14,9 +14,6 @@ use crate::core::tracker::EventKind;
 use crate::io::wire::{self, PerformerLabel, Take, TakeAnswer, encode, valid_name};
 use crate::metrics::CameraState;
 
-/// Most characters of a name that is shown.
-const MOST_SHOWN: usize = 60;
-
 /// Whether a slate ends the run of the take `running`, or of none if that is empty.
 pub(crate) fn ends(slate: &Take, running: &str) -> bool {
     match slate.action.as_str() {
@@ -247,18 +244,11 @@ impl Core {
     /// Sets the name and the colour of a performer that programs show.
     fn label(&mut self, take: &Take) -> Result<String, String> {
         let Take { name, display_name, colour, .. } = take;
-        if display_name.chars().count() > MOST_SHOWN || display_name.chars().any(char::is_control) {
-            return Err(format!(
-                "the name to show is too long or has line breaks; at most {MOST_SHOWN} characters"
-            ));
-        }
-        let is_hex =
-            |digits: &str| digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_hexdigit());
-        if !colour.is_empty() && !colour.strip_prefix('#').is_some_and(is_hex) {
-            return Err(format!("colour {colour:?}: write # and six hex digits, such as #0072b2"));
-        }
-        let label = self.label_by_name(name)?;
-        (label.display_name, label.colour) = (display_name.clone(), colour.clone());
+        let [shown, painted] = [display_name.clone(), colour.clone()];
+        let label = PerformerLabel { display_name: shown, colour: painted, locked: false };
+        label.check()?;
+        let before = self.label_by_name(name)?;
+        *before = PerformerLabel { locked: before.locked, ..label };
         let shown = if display_name.is_empty() { name } else { display_name };
         let colour = if colour.is_empty() { "the default colour" } else { colour };
         Ok(format!("{name} is shown as {shown:?}, {colour}"))

@@ -1,16 +1,23 @@
 //! Which events are expected, and what to do about those that go on.
 
+use crate::core::tracker::EventKind;
+
 /// Whether events of that kind go on. What to do about unusable messages is in the events.
 pub(crate) fn goes_on(kind: &str) -> bool {
-    kind == "unusable" || advice(kind).is_some()
+    kind == EventKind::Unusable.name() || advice(kind).is_some()
 }
 
 /// Whether events of that kind belong to a good run. Of the kinds `clock` and `solver` not all do: see [`is_fine`].
 pub(crate) fn is_expected(kind: &str) -> bool {
-    let of_performers = ["acquired", "left", "entered", "reentered", "vacated"];
-    let of_cameras = ["returned", "calibrated", "rig_changed", "clock"];
-    let of_node = ["latency", "idle", "take", "solver", "abandoned"];
-    [&of_performers[..], &of_cameras, &of_node].concat().contains(&kind)
+    use EventKind::{
+        Abandoned, Acquired, Calibrated, Clock, Entered, Idle, Latency, Left, Reentered, Returned,
+        RigChanged, Solver, Take, Vacated,
+    };
+    let of_performers = [Acquired, Left, Entered, Reentered, Vacated];
+    let of_cameras = [Returned, Calibrated, RigChanged, Clock];
+    let of_node = [Latency, Idle, Take, Solver, Abandoned];
+    let expected = [&of_performers[..], &of_cameras, &of_node].concat();
+    EventKind::from_name(kind).is_some_and(|kind| expected.contains(&kind))
 }
 
 /// How the detail of an event begins when a camera that was moved or out of time is used again.
@@ -28,20 +35,26 @@ pub(crate) fn is_fine(kind: &str, detail: &str) -> bool {
 
 /// What to do about what goes on; `None` for a kind that happens once.
 pub(crate) fn advice(kind: &str) -> Option<&'static str> {
-    Some(match kind {
-        "late" => "frames come after their window; speed up the detector, or raise deadline_frames",
-        "duplicate" => "frames come twice; is a second publisher running?",
-        "out_of_order" => "frames overtake each other and are used all the same",
-        "missing" => "frames never come; check the cameras' network and detectors",
-        "deadline" => "windows close without a camera's frames; check its rate and its delay",
-        "overdue" => "poses are extrapolated; raise latency_ms, or use fewer cameras",
-        "dropped" => {
+    Some(match EventKind::from_name(kind)? {
+        EventKind::Late => {
+            "frames come after their window; speed up the detector, or raise deadline_frames"
+        }
+        EventKind::Duplicate => "frames come twice; is a second publisher running?",
+        EventKind::OutOfOrder => "frames overtake each other and are used all the same",
+        EventKind::Missing => "frames never come; check the cameras' network and detectors",
+        EventKind::Deadline => {
+            "windows close without a camera's frames; check its rate and its delay"
+        }
+        EventKind::Overdue => "poses are extrapolated; raise latency_ms, or use fewer cameras",
+        EventKind::Dropped => {
             "messages were lost: the network is slow or was cut, or they come faster than they are read; use fewer \
              cameras, or a faster computer"
         }
-        "nobody_found" => "no two cameras see a person; check the volume, or the calibration",
-        "coasted" => "too little of the performer is seen",
-        "not_followed" => {
+        EventKind::NobodyFound => {
+            "no two cameras see a person; check the volume, or the calibration"
+        }
+        EventKind::Coasted => "too little of the performer is seen",
+        EventKind::NotFollowed => {
             "the solved body is not where the cameras see the performer; run `check` on a recording"
         }
         _ => return None,

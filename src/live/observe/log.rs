@@ -162,7 +162,7 @@ impl EventLog {
             if going.count == 0 {
                 going.detail = one_line(&event.detail);
             }
-            going.count += event.count;
+            going.count = going.count.saturating_add(event.count);
             let more = camera.or(actor).filter(|_| going.names.len() <= MOST_NAMES);
             going.names.extend(more.map(one_line));
         } else if self.limiter.admits(now, &event.kind, camera.or(actor), event.count) {

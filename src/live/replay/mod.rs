@@ -25,54 +25,27 @@ use compare::{At, Comparison, Recorded, compare};
 
 /// Why a recording cannot be replayed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ReplayError {
-    /// No journal, or none of the given stage and actor.
+    /// `asked` and `found` are parts of the message; they may be empty.
     #[error(
         "there is no journal{asked}; give a recording of a node, made by `bundlemocap record`{found}"
     )]
-    NoJournal {
-        /// The given stage and actor, as text; empty if none were given.
-        asked: String,
-        /// The journals in the recording, as text; empty if there are none.
-        found: String,
-    },
-    /// The journal's beginning is missing.
+    NoJournal { asked: String, found: String },
     #[error(
         "the journal begins with number {first}: recording began later than the run; use \
          `bundlemocap take start NAME`, or start `bundlemocap record` before the cameras"
     )]
-    Begun {
-        /// Number of its first message.
-        first: u64,
-    },
-    /// Several runs or takes, or none with the given name.
+    Begun { first: u64 },
+    /// `why` is what is wrong with the given name, if there is one.
     #[error("{why}choose one of the recorded runs with --run: {found}")]
-    SeveralRuns {
-        /// What is wrong with the name, if there is one.
-        why: String,
-        /// Their ids and takes, separated by commas.
-        found: String,
-    },
-    /// An input of the node is missing in the recording.
+    SeveralRuns { why: String, found: String },
     #[error(
         "message {index} of the journal, {bytes_hash:016x} on {topic}, is not in the recording"
     )]
-    Missing {
-        /// Number of entries before it.
-        index: u64,
-        /// Its topic.
-        topic: String,
-        /// Hash of its bytes.
-        bytes_hash: u64,
-    },
-    /// An entry of the journal contradicts the core's outputs.
+    Missing { index: u64, topic: String, bytes_hash: u64 },
     #[error("entry {index} of the journal cannot be replayed: {reason}")]
-    Senseless {
-        /// Number of entries before it.
-        index: u64,
-        /// What is wrong.
-        reason: String,
-    },
+    Senseless { index: u64, reason: String },
     /// A journal that cannot be decoded.
     #[error(transparent)]
     Decode(#[from] DecodeError),
@@ -398,13 +371,16 @@ impl<'a> Run<'a> {
                 Output::Solve { performer, job, .. } => {
                     self.jobs.insert((performer, job.number), job);
                 }
-                Output::Publish(publication) => self.outputs.push(Recorded {
-                    time: publication.due.unwrap_or(now),
-                    capture: publication.capture,
-                    topic: publication.topic,
-                    schema: publication.content.schema().into(),
-                    payload: publication.content.encode(),
-                }),
+                Output::Publish(publication) => {
+                    let (schema, payload) = publication.content.encoded();
+                    self.outputs.push(Recorded {
+                        time: publication.due.unwrap_or(now),
+                        capture: publication.capture,
+                        topic: publication.topic,
+                        schema: schema.into(),
+                        payload,
+                    });
+                }
                 Output::Wake(_) | Output::Mended { .. } | Output::Body { .. } => {}
             }
         }

@@ -76,12 +76,13 @@ impl Outlet {
             return Err(Some(text));
         }
         let topic = &publication.topic;
+        let (schema, payload) = publication.content.encoded();
         let line = match self.lines.get(topic) {
             Some(Line::Shut { until }) if now < *until => return Err(None),
             Some(line @ Line::Open { .. }) => line,
             Some(Line::Shut { .. }) | None => {
                 let begin = Instant::now();
-                if let Err(error) = self.open(topic, publication.content.schema()) {
+                if let Err(error) = self.open(topic, schema) {
                     // A refusal may take seconds.
                     let took = i64::try_from(begin.elapsed().as_nanos()).unwrap_or(i64::MAX);
                     let until = now + Nanos::new(took) + PATIENCE;
@@ -93,7 +94,7 @@ impl Outlet {
             }
         };
         let Line::Open { publisher, encoding } = line else { return Err(None) };
-        let put = publisher.put(publication.capture, encoding, &publication.content.encode());
+        let put = publisher.put(publication.capture, encoding, &payload);
         put.map_err(|error| Some(error.to_string()))
     }
 

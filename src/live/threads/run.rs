@@ -29,7 +29,7 @@ use crate::io::wire::{
 use crate::live::clock::wall::WallClock;
 use crate::live::config::Config;
 use crate::live::core::Core;
-use crate::live::error::{Elder, NodeError};
+use crate::live::error::NodeError;
 use crate::live::observe::board::Board;
 use crate::live::observe::endpoint::Endpoint;
 
@@ -144,13 +144,15 @@ impl Node {
             };
             threads.push(("bodies", thread("bodies").spawn(work).map_err(NodeError::Thread)?));
         }
-        let playout = Arc::<Playout>::default();
-        let most_late = config.solver.then_some(TAKEN_OVER);
-        let played =
-            start_playout(&bus, &topics, clock, &playout, &board, most_late, &mut threads)?;
+        let outlet = loop_outlet(&bus, &topics, &board)?;
         let solve = |mut solver: Solver| move |job: &Job| solver.solve(job);
         let solvers = solvers.into_iter().map(solve).collect();
         let (jobs, answers) = Solvers::start(solvers, solver_core, &mut threads)?;
+        let playout = Arc::<Playout>::default();
+        let most_late = config.solver.then_some(TAKEN_OVER);
+        // Last, for this thread keeps the bus until it is closed.
+        let played =
+            start_playout(&bus, &topics, clock, &playout, &board, most_late, &mut threads)?;
 
         let (patterns, token) = (core.inputs(), Token::default());
         let (stop, stopped) = bounded(1);
@@ -168,7 +170,7 @@ impl Node {
             token: Arc::clone(&token),
             jobs,
             playout: Arc::clone(&playout),
-            outlet: loop_outlet(&bus, &topics, &board)?,
+            outlet,
             board: Arc::clone(&board),
             rig_topic: topics.rig(),
             mended,
@@ -227,31 +229,9 @@ impl Running {
         Ok(())
     }
 
-    /// A node of the same performer that is older than this one: the networks of two nodes were
-    /// connected while both ran.
-    ///
-    /// # Errors
-    /// The bus is closed, or does not answer in time.
-    pub fn elder(&self) -> Result<Option<Elder>, NodeError> {
-        Ok(self.presence.elder()?)
-    }
-
-    /// As [`Presence::recorded_take`].
-    ///
-    /// # Errors
-    /// The bus is closed, or does not answer in time.
-    pub fn recorded_take(&self) -> Result<String, NodeError> {
-        Ok(self.presence.recorded_take()?)
-    }
-
-    /// As [`Bus::is_connected`].
-    pub fn is_connected(&self) -> bool {
-        self.presence.is_connected()
-    }
-
-    /// As [`Presence::stand_back`].
-    pub fn stand_back(&self, elder: Elder) -> NodeError {
-        self.presence.stand_back(elder)
+    /// Its announcement. There may be an older node: the networks of two nodes were connected while both ran.
+    pub fn presence(&self) -> &Presence {
+        &self.presence
     }
 
     /// Disconnected when the node has stopped by itself, which is a fault.

@@ -134,9 +134,10 @@ fn serve(
     let aside = matches!(place, Place::Aside);
     match place {
         Place::Core(core) => core.enter(),
-        #[cfg(unix)]
+        // Elsewhere it is the priority of the whole process.
+        #[cfg(target_os = "linux")]
         Place::Shared | Place::Aside => drop(rustix::process::nice(GIVES_WAY)),
-        #[cfg(not(unix))]
+        #[cfg(not(target_os = "linux"))]
         _ => {}
     }
     loop {

@@ -9,13 +9,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::muvs::{MuVsWeights, PerFrame};
-use super::path::{FramePath, Term};
+use super::path::Term;
 use super::terms::LowFrequency;
 use super::{Delay, Method, Solved, Take};
 use crate::core::body::fitted_points;
 use crate::core::cost;
 use crate::core::manifold::Decoder;
-use crate::core::optimise::{LevenbergMarquardt, Optimiser};
 
 /// Weights of [`Dct`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -87,11 +86,8 @@ impl Method for Dct {
             let components = (weights.components * initial.len()).div_ceil(segment);
             let low = LowFrequency::new(weights.smoothness, initial.len(), components);
             let terms: [Box<dyn Term>; 1] = [Box::new(low)];
-            let skeleton = &found.start.skeleton;
-            let mut path = FramePath::new(scene, skeleton, observations, initial, &terms);
-            let mut x = path.start();
-            LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
-            keyframes.extend(path.keyframes(&x));
+            let start = (observations, initial);
+            keyframes.extend(found.minimised(scene, start, &terms, [true; 2], weights.iterations));
         }
         Some(found.solved(decoder, &keyframes, segment))
     }

@@ -19,13 +19,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::muvs::{MuVsWeights, PerFrame};
-use super::path::{FramePath, Term};
+use super::path::Term;
 use super::terms::KeyframeSteps;
 use super::{Delay, Method, Solved, Take};
 use crate::core::body::fitted_points;
 use crate::core::cost;
 use crate::core::manifold::Decoder;
-use crate::core::optimise::{LevenbergMarquardt, Optimiser};
 
 /// Weights of [`Dmmr`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -119,13 +118,7 @@ impl Method for Dmmr {
                 let config = cost::Config { prior: weights.prior, scale_px, ..found.config.cost };
                 let scene =
                     cost::Scene { decoder, rig: &take.rig, points: &points, config: &config };
-                let mut path =
-                    FramePath::new(scene, &found.start.skeleton, observations, &now, &terms);
-                path.free = free;
-                let mut x = path.start();
-                LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);
-                let solved = path.keyframes(&x);
-                now = solved;
+                now = found.minimised(scene, (observations, &now), &terms, free, iterations);
             }
             keyframes.extend(now);
         }

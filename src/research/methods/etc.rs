@@ -8,13 +8,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::muvs::{MuVsWeights, PerFrame};
-use super::path::{FramePath, Term};
+use super::path::Term;
 use super::terms::JointSteps;
 use super::{Delay, Method, Solved, Take};
 use crate::core::body::fitted_points;
 use crate::core::cost;
 use crate::core::manifold::Decoder;
-use crate::core::optimise::{LevenbergMarquardt, Optimiser};
 
 /// Weights of [`Etc`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,12 +66,8 @@ impl Method for Etc {
         let points = fitted_points(take.format);
         let scene = cost::Scene { decoder, rig: &take.rig, points: &points, config: &cost };
         let terms: [Box<dyn Term>; 1] = [Box::new(JointSteps { weight: weights.smoothness })];
-        let skeleton = &found.start.skeleton;
-        let mut path =
-            FramePath::new(scene, skeleton, &found.observations, &found.keyframes, &terms);
-        let mut x = path.start();
-        LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
-        let keyframes = path.keyframes(&x);
+        let start = (&found.observations[..], &found.keyframes[..]);
+        let keyframes = found.minimised(scene, start, &terms, [true; 2], weights.iterations);
         Some(Solved { borders: Vec::new(), ..found.solved(decoder, &keyframes, 1) })
     }
 }

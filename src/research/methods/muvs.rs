@@ -9,6 +9,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::frames::{Cut, Given, is_enough};
+use super::path::{FramePath, Term};
 use super::{Delay, Method, Motion, Solved, Start, Take, start};
 use crate::core::body::fitted_points;
 use crate::core::cost::{
@@ -72,6 +73,22 @@ pub(super) struct PerFrame {
 }
 
 impl PerFrame {
+    /// The path of some frames after that many iterations from `initial`. `free`: whether codes and roots are.
+    pub(super) fn minimised<'a>(
+        &'a self,
+        scene: Scene<'a>,
+        (observations, initial): (&'a [Vec<FrameObservations>], &'a [Keyframe]),
+        terms: &'a [Box<dyn Term + 'a>],
+        free: [bool; 2],
+        iterations: usize,
+    ) -> Vec<Keyframe> {
+        let mut path = FramePath::new(scene, &self.start.skeleton, observations, initial, terms);
+        path.free = free;
+        let mut x = path.start();
+        LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);
+        path.keyframes(&x)
+    }
+
     /// Solves every frame on its own; `None` if no performer is found.
     pub(super) fn solve(take: &Take, decoder: &Decoder, weights: &MuVsWeights) -> Option<Self> {
         let mut config = Config { frame_rate_hz: take.fps, ..Config::default() };

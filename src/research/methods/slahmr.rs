@@ -19,13 +19,13 @@ use serde::{Deserialize, Serialize};
 
 use super::joints::UNKNOWNS;
 use super::muvs::{MuVsWeights, PerFrame};
-use super::path::{FramePath, State, Term};
+use super::path::{State, Term};
 use super::terms::JointSteps;
 use super::{Delay, Method, Solved, Take};
 use crate::core::body::fitted_points;
 use crate::core::cost::{self, Scene};
 use crate::core::manifold::{Decoder, Keyframe, LATENT};
-use crate::core::optimise::{LevenbergMarquardt, NormalEquations, Optimiser};
+use crate::core::optimise::NormalEquations;
 use crate::core::so3;
 use crate::research::transition::{MOVE, Move, THREE, Transition, TransitionWork, state_of};
 
@@ -81,34 +81,20 @@ impl Slahmr {
         let weights = &self.weights;
         let [roots, smooth, last] = weights.iterations;
         let steps = |weight: f64| -> Box<dyn Term> { Box::new(JointSteps { weight }) };
-        let keyframes = minimised(found, scene, &found.keyframes, &[], false, roots);
+        let seen = &found.observations[..];
+        let start = (seen, &found.keyframes[..]);
+        // First only the roots.
+        let keyframes = found.minimised(scene, start, &[], [false, true], roots);
         let terms = [steps(weights.smoothness)];
-        let mut keyframes = minimised(found, scene, &keyframes, &terms, true, smooth);
+        let mut keyframes = found.minimised(scene, (seen, &keyframes), &terms, [true; 2], smooth);
         for _ in 0..weights.rounds {
             let prior =
                 Transitions::at(&self.transition, &keyframes, fps.recip(), weights.transition);
             let terms: [Box<dyn Term>; 2] = [Box::new(prior), steps(weights.last_smoothness)];
-            keyframes = minimised(found, scene, &keyframes, &terms, true, last);
+            keyframes = found.minimised(scene, (seen, &keyframes), &terms, [true; 2], last);
         }
         keyframes
     }
-}
-
-/// The path after a stage. With `codes` false only the roots are free.
-fn minimised<'a>(
-    found: &'a PerFrame,
-    scene: Scene<'a>,
-    initial: &'a [Keyframe],
-    terms: &'a [Box<dyn Term + 'a>],
-    codes: bool,
-    iterations: usize,
-) -> Vec<Keyframe> {
-    let skeleton = &found.start.skeleton;
-    let mut path = FramePath::new(scene, skeleton, &found.observations, initial, terms);
-    path.free = [codes, true];
-    let mut x = path.start();
-    LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);
-    path.keyframes(&x)
 }
 
 impl Method for Slahmr {

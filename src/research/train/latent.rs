@@ -139,7 +139,7 @@ fn angle_between(a: &[f32], b: &[f32], length_a: f64, length_b: f64) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -153,7 +153,11 @@ mod tests {
     }
 
     /// Checks `analytic` against central differences of `loss` at `at`.
-    fn check(at: &[f32], analytic: &[f32], loss: impl Fn(&[f32]) -> f64) {
+    pub(in crate::research::train) fn check(
+        at: &[f32],
+        analytic: &[f32],
+        loss: impl Fn(&[f32]) -> f64,
+    ) {
         for index in 0..at.len() {
             let shifted = |step: f32| {
                 let mut moved = at.to_vec();

@@ -169,6 +169,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
+    use super::super::latent::tests::check;
     use super::super::mlp::fill_normal;
     use super::*;
 
@@ -194,16 +195,7 @@ mod tests {
         };
         let mut analytic = [0.0; POSE];
         pose_loss(&tree, weights, &decoded, &truth, &mut analytic);
-        for index in 0..POSE {
-            let shifted = |step: f32| {
-                let mut moved = decoded.clone();
-                moved[index] += step;
-                loss(&moved)
-            };
-            let numeric = (shifted(1e-2) - shifted(-1e-2)) / 2e-2;
-            let error = (f64::from(analytic[index]) - numeric).abs();
-            assert!(error < 2e-3 * (1.0 + numeric.abs()), "{index}: {} {numeric}", analytic[index]);
-        }
+        check(&decoded, &analytic, loss);
     }
 
     #[test]

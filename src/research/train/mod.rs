@@ -138,7 +138,7 @@ pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Repo
     let model = fit(options, &training, progress)?;
     let held_out =
         if held_out.is_empty() { Vec::new() } else { evaluate::held_out_errors(&model, &held_out) };
-    let command = command(options);
+    let command = command(options, "bundlemocap train");
     file::write(&options.out, &model, &metadata(options, &training, &held_out, &command))?;
     Ok(Report {
         held_out,

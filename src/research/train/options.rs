@@ -8,46 +8,67 @@ use super::model::LossWeights;
 use super::{TrainError, optimiser, sampler};
 use crate::core::manifold::LATENT;
 
-/// Training options. The defaults produced the embedded weights.
+/// Training options. The defaults produced the embedded weights. With the feature `cli`, they are options of the command
+/// `train`.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "cli", derive(clap::Args))]
 pub struct Options {
     /// Folder of BVH clips; subfolders are read too.
+    #[cfg_attr(feature = "cli", arg(skip = Options::default().motions))]
     pub motions: PathBuf,
     /// Weights file to write.
+    #[cfg_attr(feature = "cli", arg(skip = Options::default().out))]
     pub out: PathBuf,
     /// Held-out subjects, used only for evaluation.
+    #[cfg_attr(feature = "cli", arg(long, value_name = "NAMES", value_delimiter = ','))]
     pub test_subjects: Vec<String>,
     /// Seed of all random draws.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().seed))]
     pub seed: u64,
     /// Optimiser steps.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().steps))]
     pub steps: usize,
     /// Samples per step; a sample is two poses of a clip and two between them.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().batch))]
     pub batch: usize,
     /// Latent dimensions in use, 1 to 32; the others have no effect.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().latent))]
     pub latent: usize,
-    /// Hidden units per layer of the decoder.
+    /// Hidden units per layer of the decoder, or of the transition model.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().hidden))]
     pub hidden: usize,
     /// Hidden units per layer of the encoder.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().encoder_hidden))]
     pub encoder_hidden: usize,
     /// Hidden layers of each network.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().layers))]
     pub layers: usize,
     /// Peak learning rate.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().learning_rate))]
     pub learning_rate: f32,
     /// Weight decay per step and unit of learning rate.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().weight_decay))]
     pub weight_decay: f32,
-    /// Weight of the KL divergence from N(0, I), per nat.
+    /// Weight of the KL divergence from a standard normal, per nat.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().kl))]
     pub kl: f32,
     /// Weight of joint rotations outside the corpus, for random codes.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().limits))]
     pub limits: f32,
     /// Weight of joint centres, per metre; the weight of rotations is 1 per radian.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().position))]
     pub position: f32,
     /// Weight of interpolated poses relative to single poses.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().between))]
     pub between: f32,
     /// Share of samples whose legs come from another clip.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().mix))]
     pub mix: f64,
     /// Share of samples that are moved to another clip's mean pose.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().restyle))]
     pub restyle: f64,
-    /// Threads, 1 to 4. The result does not depend on it.
+    /// Threads, 1 to 4; the result does not depend on it.
+    #[cfg_attr(feature = "cli", arg(long, default_value_t = Options::default().threads))]
     pub threads: usize,
 }
 
@@ -154,18 +175,9 @@ pub fn optimiser_config(options: &Options) -> optimiser::Config {
     }
 }
 
-/// The command line that reproduces a run: last path components of folder and file, and all options
-/// that differ from the default.
-pub fn command(options: &Options) -> String {
-    with_settings(options, "bundlemocap train")
-}
-
-/// The command line that reproduces the training of a transition model.
-pub fn transition_command(options: &Options) -> String {
-    with_settings(options, "bundlemocap train --transition")
-}
-
-fn with_settings(options: &Options, program: &str) -> String {
+/// The command line of `program` that reproduces a run: last path components of folder and file, and all options that
+/// differ from the default.
+pub fn command(options: &Options, program: &str) -> String {
     let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let default = Options::default();
     let mut command = format!("{program} {}/", last(&options.motions));

@@ -68,7 +68,7 @@ impl Solver {
         let estimator = is_estimating
             .then(|| self.estimate_body(job, points, solved, &observations, estimator))
             .flatten();
-        let deviations = matches!(verdict, Verdict::Tracked)
+        let deviations = (job.effort.deviations && matches!(verdict, Verdict::Tracked))
             .then(|| self.deviations(job, points, solved))
             .flatten();
         let tracked = tracked(solved, poses, Some(summary), residuals, verdict);

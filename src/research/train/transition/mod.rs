@@ -16,7 +16,7 @@ use super::file::{self, Content};
 use super::mlp::{Mlp, Tape};
 use super::model::Model;
 use super::optimiser::Optimiser;
-use super::options::{Options, check, optimiser_config, transition_command};
+use super::options::{Options, check, command, optimiser_config};
 use super::{REPORT_EVERY, TrainError, read_folder, split};
 use crate::core::manifold::{Decoder, EMBEDDED, Keyframe};
 use crate::research::transition::{MOVE, STATE, Transition};
@@ -65,7 +65,7 @@ pub fn run(
         return Err(TrainError::NothingLeft { frames: 4 });
     }
     let network = fit(options, &samples, progress)?;
-    let command = transition_command(options);
+    let command = command(options, "bundlemocap train --transition");
     let metadata = BTreeMap::from([
         ("seed", options.seed.to_string()),
         ("command", command.clone()),
