@@ -65,6 +65,7 @@ pub const DEFAULT_TOML: &str = include_str!("../config/default.toml");
 pub enum ConfigError {
     #[error("cannot read the configuration {}: {source}; check the path", path.display())]
     Unreadable { path: PathBuf, source: std::io::Error },
+    /// Lines count from 1.
     #[error("{}, line {line}: {reason}; config/default.toml lists every key", path.display())]
     Malformed { path: PathBuf, line: usize, reason: String },
     /// A number out of range.

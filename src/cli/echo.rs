@@ -113,7 +113,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let fix = "check --stage and --actor, and whether the node runs";
         complain("warning", &format!("no messages on {what} yet; {fix}"));
     };
-    echo(&inbox, form, arguments.count.unwrap_or(u64::MAX), &stop, tell, nothing);
+    let count = arguments.count.unwrap_or(u64::MAX);
+    echo(&inbox, form, count, &stop, tell, (PATIENCE, nothing));
     if inbox.dropped() > 0 {
         let fix = "the terminal is too slow; print fewer messages";
         complain("warning", &format!("{} messages were not printed: {fix}", inbox.dropped()));
@@ -129,23 +130,23 @@ enum Form {
     Rates { json: bool },
 }
 
-/// Prints until `count` lines, a stop request, or `print` returns false. Calls `nothing` if nothing comes for a while.
+/// Prints until `count` lines, a stop request, or `print` returns false. Calls `nothing` if nothing comes for so long.
 fn echo(
     inbox: &Inbox,
     form: Form,
     count: u64,
     stop: &Stop,
     mut print: impl FnMut(&str) -> bool,
-    nothing: impl Fn(),
+    (patience, nothing): (Duration, impl Fn()),
 ) {
     let (mut printed, mut rates, mut since) = (0, Rates::default(), Instant::now());
-    let (begin, mut is_heard) = (Instant::now(), false);
+    let (begin, mut waits) = (Instant::now(), true);
     while printed < count && !stop.is_set() {
         let received = inbox.next(ATTENTION);
-        if received.is_none() && !is_heard && begin.elapsed() > PATIENCE {
+        if waits && received.is_none() && begin.elapsed() > patience {
             nothing();
         }
-        is_heard |= received.is_some() || begin.elapsed() > PATIENCE;
+        waits &= received.is_none() && begin.elapsed() <= patience;
         let line = match (form, received) {
             (Form::Line, Some(received)) => line(&received),
             (Form::Json, Some(received)) => json_line(&received).to_string(),
@@ -312,7 +313,7 @@ mod tests {
             lines.push(line.to_owned());
             true
         };
-        echo(&inbox, Form::Line, 2, &Stop::default(), print, || unreachable!());
+        echo(&inbox, Form::Line, 2, &Stop::default(), print, (PATIENCE, || unreachable!()));
         assert_eq!(lines.len(), 2);
         assert!(lines[0].contains("stage/events  late x 2"), "{lines:?}");
         let mut tries = 0;
@@ -320,11 +321,21 @@ mod tests {
             tries += 1;
             tries < 2
         };
-        echo(&inbox, Form::Json, u64::MAX, &Stop::default(), print, || unreachable!());
+        echo(&inbox, Form::Json, u64::MAX, &Stop::default(), print, (PATIENCE, || unreachable!()));
         assert_eq!(tries, 2);
         let stop = Stop::default();
         stop.stop();
-        echo(&inbox, Form::Line, u64::MAX, &stop, |_| unreachable!(), || unreachable!());
+        let never = || unreachable!();
+        echo(&inbox, Form::Line, u64::MAX, &stop, |_| never(), (PATIENCE, || unreachable!()));
+        // Nothing comes.
+        let silent = Inbox::open_all(&bus, &[topics.rig()]).unwrap();
+        let (stop, said) = (Stop::default(), std::cell::Cell::new(0));
+        let nothing = || {
+            said.set(said.get() + 1);
+            stop.stop();
+        };
+        echo(&silent, Form::Line, u64::MAX, &stop, |_| never(), (Duration::ZERO, nothing));
+        assert_eq!(said.get(), 1);
     }
 
     #[test]

@@ -76,6 +76,15 @@ pub(crate) fn ratio(text: &str) -> Result<f64, String> {
     }
 }
 
+/// The value of an option, if it is in range.
+pub(crate) fn within(option: &str, value: f64, low: f64, high: f64) -> Result<f64, Failure> {
+    if (low..=high).contains(&value) {
+        return Ok(value);
+    }
+    let message = format!("{option} is {value}, but must be {low} to {high}");
+    Err(Failure::new(Exit::Usage, message))
+}
+
 /// The value of `--fps`, if it is a valid frame rate.
 pub(crate) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
     if (1.0..=1000.0).contains(&fps) {
@@ -186,7 +195,11 @@ failures! {
     }
     ConfigError {
         ConfigError::Unreadable { .. } => Unreadable,
-        _ => Malformed,
+        ConfigError::Malformed { .. }
+        | ConfigError::OutOfRange { .. }
+        | ConfigError::Timecode { .. }
+        | ConfigError::Together { .. }
+        | ConfigError::Name { .. } => Malformed,
     }
     CameraError {
         _ => BadCalibration,

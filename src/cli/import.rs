@@ -15,6 +15,7 @@ use super::solve::Progress;
 use super::terminal::{complain, note, progress, say, table};
 use crate::core::camera::Rig;
 use crate::diagnose::Check;
+use crate::io::file_name;
 use crate::io::formats::{
     Auto, Calibration, CameraReport, DetectionFolder, DetectionOptions, ExportError, FolderMatch,
     ImportError, MatchedBy, PointOrder, UP_IS_GUESSED, Unit, Up, frame_rate_beside,
@@ -465,7 +466,9 @@ impl Imported {
         if own.iter().all(|camera| of(*camera) == *camera) {
             return None;
         }
-        let pair = |pair: &FolderMatch| (file_of(pair), rig.cameras[of(pair.camera)].name.clone());
+        let pair = |pair: &FolderMatch| {
+            (file_name(&pair.folder), rig.cameras[of(pair.camera)].name.clone())
+        };
         Some(self.unnamed(given).map(pair).collect())
     }
 
@@ -517,14 +520,9 @@ fn check(path: &Path) -> Result<Check, String> {
     checked.map_err(|error| error.to_string())
 }
 
-/// The name of a camera's folder or file.
-fn file_of(pair: &FolderMatch) -> String {
-    pair.folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
 /// Whether neither the name nor the user says of which camera a file is.
 fn is_unnamed(pair: &FolderMatch, given: &[(String, String)]) -> bool {
-    let is_given = || given.iter().any(|(file, _)| *file == file_of(pair));
+    let is_given = || given.iter().any(|(file, _)| *file == file_name(&pair.folder));
     match pair.by {
         MatchedBy::Name => false,
         MatchedBy::Order => true,
@@ -545,7 +543,7 @@ fn matches(
             MatchedBy::Name => "by name",
             MatchedBy::Order => "by order",
         };
-        (file_of(pair), format!("-> {} ({by})", rig.cameras[pair.camera].name))
+        (file_name(&pair.folder), format!("-> {} ({by})", rig.cameras[pair.camera].name))
     });
     rows.collect()
 }
@@ -575,11 +573,10 @@ fn found(report: &CameraReport) -> String {
 
 /// The command, without the folders of its files.
 fn provenance(arguments: &Arguments, folder: &Path, attempt: &Attempt) -> Provenance {
-    let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut command = format!(
         "bundlemocap import {} --calibration {} --fps {}",
-        last(folder),
-        last(&arguments.calibration),
+        file_name(folder),
+        file_name(&arguments.calibration),
         attempt.fps,
     );
     for (camera, fps) in arguments.rates() {
@@ -589,7 +586,7 @@ fn provenance(arguments: &Arguments, folder: &Path, attempt: &Attempt) -> Proven
         command += &format!(" --format {format}");
     }
     if let Some(points) = &arguments.points {
-        command += &format!(" --points {}", last(points));
+        command += &format!(" --points {}", file_name(points));
     }
     for (file, camera) in &attempt.cameras {
         command += &format!(" --camera {file}={camera}");

@@ -8,7 +8,7 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, open, topics};
 use super::clock::{SteadyClock, Stop};
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, within};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, progress, say, table, ticker};
 use crate::cli::tools::Disturbance;
@@ -105,9 +105,9 @@ impl Network {
             ("--reorder", reorder),
         ];
         for (option, share) in shares {
-            in_range(option, share, 0.0..=1.0, "0 to 1")?;
+            within(option, share, 0.0, 1.0)?;
         }
-        in_range("--late-ms", late_ms, 0.0..=6e4, "0 to 60000")?;
+        within("--late-ms", late_ms, 0.0, 6e4)?;
         Ok(Disturbance {
             drop,
             late,
@@ -119,20 +119,8 @@ impl Network {
     }
 }
 
-fn in_range(
-    option: &str,
-    value: f64,
-    range: std::ops::RangeInclusive<f64>,
-    allowed: &str,
-) -> Result<(), Failure> {
-    if range.contains(&value) {
-        return Ok(());
-    }
-    Err(Failure::new(Exit::Usage, format!("{option} is {value}, but must be {allowed}")))
-}
-
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    in_range("--speed", arguments.speed, 0.01..=100.0, "0.01 to 100")?;
+    within("--speed", arguments.speed, 0.01, 100.0)?;
     let disturbance = arguments.network.disturbance()?;
     let config = arguments.bus.settings()?;
     let span = arguments.span.within(&Times::of(&arguments.file, Some(&config))?)?;

@@ -227,9 +227,10 @@ impl Ready<'_> {
         drop(listening);
         let mut settings = Settings { body: body.clone(), ..config.core_settings(decoder)? };
         let before = heard.lock().unwrap_or_else(PoisonError::into_inner).take();
-        settings.carried.performers = match before.as_ref().map_or_else(Vec::new, people_of) {
-            people if people.is_empty() => config.known_people()?,
-            people => people,
+        let people = before.map_or_else(Vec::new, |before| people_of(&before, &config.node.actor));
+        settings.carried.performers = match people.is_empty() {
+            true => config.known_people()?,
+            false => people,
         };
         let core = Core::new(settings);
         let is_one = !config.stage.several();

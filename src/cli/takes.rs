@@ -18,6 +18,7 @@ use super::failure::{Exit, Failure, json};
 use super::solve::{Arguments, Prepared, Solved, alone, locked};
 use super::terminal::{complain, progress, say, table};
 use crate::core::fnv::{fnv1a, fnv1a_after};
+use crate::io::file_name;
 use crate::io::new_file::remove_parts;
 use crate::offline::output::text as write_text;
 
@@ -353,7 +354,7 @@ pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
         // The summary of a take that is being solved anew is of the solve before.
         let summary = read(SUMMARY).filter(|_| manifest.is_some());
         let summary = summary.and_then(|text| serde_json::from_str::<Value>(&text).ok());
-        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = file_name(&folder);
         takes.insert(name, manifest.zip(summary).ok_or_else(|| not_solved(&text)));
     }
     if takes.is_empty() {

@@ -1,6 +1,6 @@
 //! `bundlemocap train`
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 
@@ -8,6 +8,7 @@ use super::Ended;
 use super::failure::{Exit, failures};
 use super::overwrite::Overwrite;
 use super::terminal::{progress, say};
+use crate::io::file_name;
 use crate::research::train::{
     HeldOutErrors, Options, TrainError, TransitionScores, evaluate, evaluate_transition,
     run as train, train_transition,
@@ -113,13 +114,10 @@ fn run_transition(arguments: &Arguments) -> Ended {
     say(&format!("trained on {} transitions in {seconds:.0} s", report.transitions));
     say(&format!("{}: {} parameters", options.out.display(), report.parameters));
     say_transition(&report.held_out);
-    let manifold = manifold.map_or_else(String::new, |path| format!(" --manifold {}", name(path)));
+    let manifold =
+        manifold.map_or_else(String::new, |path| format!(" --manifold {}", file_name(path)));
     say(&format!("to reproduce: {}{manifold}", report.command));
     Ok(Exit::Done)
-}
-
-fn name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 fn options(arguments: &Arguments) -> Options {

@@ -13,6 +13,11 @@ pub mod timecode;
 pub mod vmc;
 pub mod wire;
 
+/// The last part of a path, for names and messages.
+pub(crate) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
 /// Time of a file's last change, and its length. `None`: there is no such file.
 pub(crate) fn stamp(path: &Path) -> Option<(SystemTime, u64)> {
     let about = std::fs::metadata(path).ok()?;

@@ -124,7 +124,7 @@ impl FootSkateSums {
 mod tests {
     use super::*;
     use crate::core::body::Joint;
-    use crate::metrics::walked::{FPS, close, run};
+    use crate::metrics::made_up::{FPS, close, run};
 
     #[test]
     fn feet_slide_when_they_should_stand() {

@@ -59,9 +59,9 @@ pub use pose_errors::{
 };
 pub use trend::{Interval, mean_interval, slope_interval};
 
-/// Made-up motions.
+/// For the tests: made-up motions.
 #[cfg(test)]
-mod walked {
+mod made_up {
     use nalgebra::Vector3;
 
     use crate::core::body::{Pose, Posture, Skeleton};

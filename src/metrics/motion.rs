@@ -45,9 +45,8 @@ pub fn velocity_jumps(run: &[Posture], fps: f64) -> impl Iterator<Item = (usize,
 
 #[cfg(test)]
 mod tests {
-
     use super::*;
-    use crate::metrics::walked::{FPS, close, run};
+    use crate::metrics::made_up::{FPS, close, run};
 
     #[test]
     fn a_kink_at_a_border_stands_out() {

@@ -7,6 +7,7 @@ use super::frame;
 use super::overview::{Gathered, Overview};
 use super::points::Points;
 use crate::core::time::{Nanos, Timestamp};
+use crate::io::file_name;
 use crate::io::recording::{RawEntry, Reader, RecordError, Spans};
 use crate::io::wire::{ActorChannel, StageChannel, Topic, Topics};
 
@@ -54,9 +55,7 @@ impl Recorded {
 
     /// The file names.
     pub(super) fn name(&self) -> String {
-        let name =
-            |file: &File| file.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        self.files.iter().map(name).collect::<Vec<_>>().join(", ")
+        self.files.iter().map(|file| file_name(&file.path)).collect::<Vec<_>>().join(", ")
     }
 
     /// The frames of a span of capture time. Of what is sent once and counts from then on (the rig and the

@@ -37,6 +37,16 @@ fn generated() -> Option<tempfile::TempDir> {
     Some(folder)
 }
 
+/// Whether Python has these modules; if not, says which packages to install.
+fn has_modules(modules: &str, packages: &str) -> bool {
+    let import = Command::new("python3").args(["-c", &format!("import {modules}")]).output();
+    let has = import.is_ok_and(|output| output.status.success());
+    if !has {
+        crate::support::skipped(&format!("pip install {packages} first"));
+    }
+    has
+}
+
 fn python(generated: &Path, script: &str) -> Command {
     let mut command = Command::new("python3");
     command.arg(scripts().join(script)).env("PYTHONPATH", generated);
@@ -183,9 +193,8 @@ for path, rate in zip(sys.argv[1:], [60000 / 1001, 25]):
 
 #[test]
 fn the_videos_beside_detections_tell_their_frame_rate() {
-    let import = Command::new("python3").args(["-c", "import cv2, numpy"]).output();
-    if !import.is_ok_and(|output| output.status.success()) {
-        return crate::support::skipped("pip install opencv-python-headless first");
+    if !has_modules("cv2, numpy", "opencv-python-headless") {
+        return;
     }
     let trial = tempfile::tempdir().unwrap();
     let [pose, videos] = ["pose", "videos"].map(|name| trial.path().join(name));
@@ -211,9 +220,8 @@ fn the_videos_beside_detections_tell_their_frame_rate() {
 #[test]
 fn a_video_is_published_as_a_camera_and_a_camera_that_goes_away_is_opened_again() {
     let Some(generated) = generated() else { return };
-    let import = Command::new("python3").args(["-c", "import cv2, numpy"]).output();
-    if !import.is_ok_and(|output| output.status.success()) {
-        return crate::support::skipped("pip install opencv-python-headless first");
+    if !has_modules("cv2, numpy", "opencv-python-headless") {
+        return;
     }
     let video = generated.path().join("cam01.avi");
     check(&Command::new("python3").args(["-c", VIDEO]).arg(&video).output().unwrap());
@@ -364,9 +372,8 @@ fn the_node_works_between_cameras_and_a_subscriber_in_python() {
 #[test]
 fn recordings_are_shown_in_rerun() {
     let Some(generated) = generated() else { return };
-    let rerun = |arguments: &[&str]| Command::new("python3").args(arguments).output();
-    if !rerun(&["-c", "import rerun"]).is_ok_and(|output| output.status.success()) {
-        return crate::support::skipped("pip install rerun-sdk first");
+    if !has_modules("rerun", "rerun-sdk") {
+        return;
     }
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
     let (folder, out) = (generated.path(), generated.path().join("out"));
@@ -380,7 +387,8 @@ fn recordings_are_shown_in_rerun() {
     let said = String::from_utf8(output.stdout).unwrap();
     let count: usize = said.trim_end_matches(" messages\n").parse().unwrap();
     assert!(count > 1000, "{said}");
-    let printed = rerun(&["-m", "rerun", "rrd", "print", shown.to_str().unwrap()]).unwrap();
+    let print = ["-m", "rerun", "rrd", "print", shown.to_str().unwrap()];
+    let printed = Command::new("python3").args(print).output().unwrap();
     let printed = String::from_utf8_lossy(&printed.stdout).into_owned();
     for path in ["/world/cameras/cam01/keypoints", "/world/performers/actor", "/events"] {
         assert!(printed.contains(path), "no {path} in\n{printed}");
@@ -427,9 +435,8 @@ print(" ".join(f"{topic}={counts[topic]}" for topic in sorted(counts)))
 #[test]
 fn recordings_have_the_schemas_of_foxglove() {
     let Some(generated) = generated() else { return };
-    let import = Command::new("python3").args(["-c", "import mcap_protobuf"]).output();
-    if !import.is_ok_and(|output| output.status.success()) {
-        return crate::support::skipped("pip install mcap-protobuf-support first");
+    if !has_modules("mcap_protobuf", "mcap-protobuf-support") {
+        return;
     }
     let (folder, out) = (generated.path(), generated.path().join("out"));
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
@@ -769,9 +776,8 @@ print(*events["LABELS"]["value"], len(lost))
 
 #[test]
 fn markers_are_empty_and_c3d_has_events_where_the_performer_is_lost_or_coasting() {
-    let import = Command::new("python3").args(["-c", "import ezc3d, numpy, opensim"]).output();
-    if !import.is_ok_and(|output| output.status.success()) {
-        return crate::support::skipped("pip install ezc3d numpy opensim first");
+    if !has_modules("ezc3d, numpy, opensim", "ezc3d numpy opensim") {
+        return;
     }
     let folder = tempfile::tempdir().unwrap();
     let [solved, c3d, trc] =
@@ -799,13 +805,9 @@ fn markers_are_empty_and_c3d_has_events_where_the_performer_is_lost_or_coasting(
 
 #[test]
 fn exported_files_have_the_poses_on_a_true_rest_pose() {
-    let import = Command::new("python3")
-        .args(["-c", "import ezc3d, mcap_protobuf, numpy, opensim, pxr"])
-        .output();
-    if !import.is_ok_and(|output| output.status.success()) {
-        return crate::support::skipped(
-            "pip install ezc3d mcap-protobuf-support numpy opensim usd-core first",
-        );
+    let packages = "ezc3d mcap-protobuf-support numpy opensim usd-core";
+    if !has_modules("ezc3d, mcap_protobuf, numpy, opensim, pxr", packages) {
+        return;
     }
     let folder = tempfile::tempdir().unwrap();
     let file = |ending: &str| folder.path().join(format!("walk.{ending}"));

@@ -648,7 +648,8 @@ fn a_standby_goes_on_with_the_performers() {
     second.retain(|message| message.arrival > at(4.7));
     second.push(Sent { arrival: at(4.6), ..stage.studio.rig() });
     let one = stage.play(first, 4.0);
-    let mut other = World::knowing(&stage.config, people_of(&status_of_stage(&one, 4.0)));
+    let known = people_of(&status_of_stage(&one, 4.0), "actor");
+    let mut other = World::knowing(&stage.config, known);
     other.play(second, at(8.0));
     let all = ["lead", "p2", "p3", "p4"];
     assert_eq!(lives(&status_of_stage(&other, 8.0)), all.map(|name| (name, "confirmed")));

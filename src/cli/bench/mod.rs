@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 
 use crate::cli::Ended;
 use crate::cli::bus::BusName;
-use crate::cli::failure::{Exit, Failure, frame_rate_option, json, ratio, value_name};
+use crate::cli::failure::{Exit, Failure, frame_rate_option, json, ratio, value_name, within};
 use crate::cli::synth::NoiseName;
 use crate::cli::terminal::{complain, progress, say, table};
 use crate::config::Config;
@@ -102,7 +102,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 /// A number of a range.
-fn within(text: &str, range: std::ops::Range<f64>) -> Result<f64, String> {
+fn parse_within(text: &str, range: std::ops::Range<f64>) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|error: std::num::ParseFloatError| error.to_string())?;
     let std::ops::Range { start, end } = range;
     if range.contains(&value) {
@@ -113,20 +113,16 @@ fn within(text: &str, range: std::ops::Range<f64>) -> Result<f64, String> {
 }
 
 fn share(text: &str) -> Result<f64, String> {
-    within(text, 0.0..1.0)
+    parse_within(text, 0.0..1.0)
 }
 
 fn jitter(text: &str) -> Result<f64, String> {
-    within(text, 0.0..100.0)
+    parse_within(text, 0.0..100.0)
 }
 
 fn measure(arguments: &Latency) -> Result<Report, Failure> {
     let fps = frame_rate_option(arguments.fps)?;
-    let seconds = arguments.seconds;
-    if !(1.0..=1e5).contains(&seconds) {
-        let message = format!("--seconds is {seconds}, but must be 1 to 100000");
-        return Err(Failure::new(Exit::Usage, message));
-    }
+    let seconds = within("--seconds", arguments.seconds, 1.0, 1e5)?;
     let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     config.bus.kind = arguments.bus.kind();
     let config = isolated(config)?;

@@ -4,8 +4,8 @@ use serde_json::json;
 
 use super::arguments::Drift;
 use super::output::write;
-use super::setup::{Setup, within};
-use crate::cli::failure::{Exit, Failure};
+use super::setup::Setup;
+use crate::cli::failure::{Exit, Failure, within};
 use crate::io::report::ReportData;
 use crate::research::experiments::{Case, drift, methods, plots};
 

@@ -4,8 +4,8 @@ use serde_json::json;
 
 use super::arguments::Latencies;
 use super::output::write;
-use super::setup::{Setup, within};
-use crate::cli::failure::Failure;
+use super::setup::Setup;
+use crate::cli::failure::{Failure, within};
 use crate::core::tracker::Latency;
 use crate::io::report::ReportData;
 use crate::research::experiments::summary::{summaries, table, to_json};

@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 
 use super::arguments;
 use super::output::write;
-use super::setup::{Setup, within};
-use crate::cli::failure::{Exit, Failure};
+use super::setup::Setup;
+use crate::cli::failure::{Exit, Failure, within};
 use crate::cli::terminal::progress;
 use crate::core::body::{Pose, Skeleton};
 use crate::core::stage::{Choice, Performers};

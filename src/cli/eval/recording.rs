@@ -8,8 +8,7 @@ use serde_json::json;
 
 use super::arguments;
 use super::output::write;
-use super::setup::within;
-use crate::cli::failure::{Exit, Failure};
+use crate::cli::failure::{Exit, Failure, within};
 use crate::cli::solve::{decoder, lost};
 use crate::cli::terminal::{complain, progress};
 use crate::core::detections::KeypointFormat;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::arguments::Motions;
-use crate::cli::failure::{Exit, Failure, frame_rate_option};
+use crate::cli::failure::{Exit, Failure, frame_rate_option, within};
 use crate::cli::solve::decoder;
 use crate::cli::terminal::{complain, progress};
 use crate::core::camera::Rig;
@@ -213,15 +213,6 @@ fn protocol(motions: &Motions, rig_without_protocol: &str) -> Result<Protocol, F
         protocol.seeds.clone_from(&views.seed);
     }
     Ok(protocol)
-}
-
-/// Checks the range of a value.
-pub(super) fn within(option: &str, value: f64, low: f64, high: f64) -> Result<f64, Failure> {
-    if (low..=high).contains(&value) {
-        return Ok(value);
-    }
-    let message = format!("{option} is {value}, but must be {low} to {high}");
-    Err(Failure::new(Exit::Usage, message))
 }
 
 fn read_protocol(path: &Path) -> Result<Protocol, Failure> {

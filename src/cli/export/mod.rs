@@ -17,6 +17,7 @@ use super::overwrite::Overwrite;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::time::{Nanos, Timestamp};
+use crate::io::file_name;
 use crate::io::formats::Style;
 #[cfg(feature = "view")]
 use crate::io::new_file;
@@ -124,7 +125,7 @@ enum Format {
 impl Format {
     /// The format that a file's ending names.
     fn of(path: &Path) -> Result<Self, Failure> {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        let name = file_name(path).to_lowercase();
         let is_of = |format: &Self| name.ends_with(&format!(".{}", format.name()));
         // The longest ending counts: .angles.csv before .csv.
         let all = Self::value_variants().iter().copied().filter(is_of);
@@ -348,7 +349,7 @@ pub(super) fn path_of(path: &Path, actor: Option<&String>) -> PathBuf {
 /// The file name without the ending of its format, and that ending with its dot, such as `.angles.csv`; empty if it is
 /// of no format.
 fn stem_and_ending(path: &Path) -> (String, String) {
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let name = file_name(path);
     let length = Format::of(path).map_or(0, |format| format.name().len() + 1);
     let (stem, ending) = name.split_at_checked(name.len() - length).unwrap_or((&name, ""));
     (stem.to_owned(), ending.to_owned())

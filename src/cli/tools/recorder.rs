@@ -22,7 +22,7 @@ use crate::io::wire::{
 const MARGIN: Nanos = Nanos::SECOND;
 /// The list of notes in the folder of takes.
 const NOTES: &str = "takes.csv";
-/// Most inputs that are kept for the next take.
+/// Most inputs that are kept for the next take, and most of their bytes.
 const MOST_RECENT: usize = 65_536;
 const MOST_RECENT_BYTES: usize = 256 << 20;
 

@@ -1,6 +1,6 @@
 //! Streams that fall silent.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::core::stage::Life;
@@ -20,8 +20,8 @@ const MOST_NAMES: usize = 8;
 pub(super) struct Silence {
     /// When the last message came, and whether the silence was reported.
     streams: BTreeMap<Arc<str>, (Timestamp, bool)>,
-    /// The names that performers have or had.
-    performers: BTreeSet<String>,
+    /// The names that performers have or had, and the node that says so.
+    performers: BTreeMap<String, String>,
 }
 
 impl Silence {
@@ -33,16 +33,19 @@ impl Silence {
         }
     }
 
-    /// Stops watching the performers who are not on the stage any more, or have another name.
+    /// Stops watching the performers of several who are lost, have left or have another name.
     pub(super) fn forget_absent(&mut self, status: &StageStatus) {
-        let names = status.performers.iter().map(|one| one.name.clone());
+        let StageStatus { node, performers, .. } = status;
+        let names = performers.iter().map(|one| (one.name.clone(), node.clone()));
         self.performers.extend(names.take(MOST_STREAMS.saturating_sub(self.performers.len())));
         let is_here = |name: &str| {
             let life = |one: &StagePerformer| Life::from_name(&one.life).is_some_and(Life::is_here);
-            status.performers.iter().any(|one| one.name == name && life(one))
+            performers.iter().any(|one| one.name == name && life(one))
         };
+        let is_absent =
+            |name: &str| self.performers.get(name) == Some(node) && name != node && !is_here(name);
         self.streams.retain(|topic, _| match Topic::parse(topic) {
-            Ok(Topic::Actor { actor, .. }) => is_here(actor) || !self.performers.contains(actor),
+            Ok(Topic::Actor { actor, .. }) => !is_absent(actor),
             _ => true,
         });
     }
@@ -84,26 +87,29 @@ mod tests {
     }
 
     #[test]
-    fn performers_who_left_or_have_another_name_are_not_missed() {
+    fn performers_who_are_lost_or_have_another_name_are_not_missed() {
         let mut silence = Silence::default();
         let at = |seconds: i64| Timestamp::from_ns(0) + Nanos::SECOND * seconds;
         let topics = Topics::default();
         let pose = |actor: &str| Topics { actor: actor.to_owned(), ..topics.clone() }.pose();
-        for actor in ["p1", "p2", "p3", "solver"] {
+        for actor in ["p1", "p2", "p3", "p4", "alone", "solver"] {
             silence.came(&Arc::from(pose(actor)), at(0));
         }
-        let status = |all: [(&str, Life); 3]| {
-            let performer = |(name, life): (&str, Life)| StagePerformer {
+        let mut told = |node: &str, all: &[(&str, Life)]| {
+            let performer = |&(name, life): &(&str, Life)| StagePerformer {
                 name: name.to_owned(),
                 life: life.name().to_owned(),
                 ..StagePerformer::default()
             };
-            StageStatus { performers: all.map(performer).into(), ..StageStatus::default() }
+            let (node, performers) = (node.to_owned(), all.iter().map(performer).collect());
+            silence.forget_absent(&StageStatus { node, performers, ..StageStatus::default() });
         };
-        let [here, left] = [Life::Confirmed, Life::Left];
-        silence.forget_absent(&status([("p1", here), ("p2", here), ("p3", here)]));
-        silence.forget_absent(&status([("p1", left), ("lead", here), ("p3", here)]));
-        let expected = format!("silent for 3 s: {}, {}", pose("p3"), pose("solver"));
+        let [here, lost, left] = [Life::Confirmed, Life::Lost, Life::Left];
+        told("front", &[("p1", here), ("p2", here), ("p3", here), ("p4", here)]);
+        told("alone", &[("alone", lost)]);
+        told("front", &[("p1", left), ("p2", lost), ("p3", here), ("lead", here)]);
+        let expected = ["alone", "p3", "solver"].map(pose).join(", ");
+        let expected = format!("silent for 3 s: {expected}");
         assert_eq!(silence.report(at(4)), Some(expected));
     }
 

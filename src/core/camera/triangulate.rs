@@ -17,7 +17,7 @@ const MIN_PARALLAX: f64 = 0.017453292519943295;
 const REFINEMENTS: usize = 5;
 /// The refinement ends with a step that is shorter than this, metres: the next one would be far shorter still.
 const CLOSE_M: f64 = 1e-6;
-/// The same in [`triangulate_near`].
+/// The same in [`triangulate_near`], metres. The point only tells people apart, and is corrected in each frame set.
 const NEAR_CLOSE_M: f64 = 1e-4;
 
 /// What one camera saw: its index in the rig, the pixel, and the confidence in (0, 1].

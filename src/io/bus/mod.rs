@@ -216,6 +216,7 @@ pub enum BusError {
     #[error("cannot connect to {endpoint}: {reason}")]
     Refused { endpoint: String, reason: String },
     /// A setting that the transport refuses.
+    /// `key` is one such as `zenoh.listen`.
     #[error("[bus] {key} = {value}: {reason}")]
     Setting { key: &'static str, value: String, reason: String },
     /// `kind` is also the name of the feature.

@@ -133,6 +133,7 @@ pub enum ImportError {
          detections or remove it from the calibration", path.display()
     )]
     CalibrationWithoutCamera { path: PathBuf, folders: String, cameras: String },
+    /// There is no number, or one that is too large for a time.
     #[error(
         "{}: no usable frame number in the file name; name files like cam01_000123_keypoints.json",
         path.display()
@@ -147,6 +148,7 @@ pub enum ImportError {
     GivenTwice { path: PathBuf, name: String },
     #[error("{}: {what}; `bundlemocap import --help` lists what is read", path.display())]
     NotDetections { path: PathBuf, what: String },
+    /// `person` is the index in the frame.
     #[error(
         "{}: person {person} has {found} points, {} needs {}; {}",
         path.display(), order.name, order.needs(), fitting(*found)
@@ -161,6 +163,7 @@ pub enum ImportError {
     Mapping { path: PathBuf, what: String },
     #[error("unknown keypoint format {name}; known are {known}")]
     UnknownFormat { name: String, known: String },
+    /// `hz` is the rate of `path`, `other` that of `second`.
     #[error(
         "{} has {hz:.3} frames a second, {} has {other:.3}; give the detections' frame rate (--fps 60, and --fps CAMERA=30 for a camera with another rate)",
         path.display(), second.display()

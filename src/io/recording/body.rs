@@ -26,7 +26,7 @@ pub fn body_file(folder: &Path, name: &str) -> PathBuf {
 /// of another person with this name. Returns the path of the file if it was written.
 ///
 /// # Errors
-/// The file cannot be written, or nobody can have this name.
+/// The file cannot be written, or [`valid_name`] refuses the name.
 pub fn write_body(
     folder: &Path,
     name: &str,
@@ -149,4 +149,22 @@ pub fn last_body(path: &Path, actor: Option<&str>) -> Result<Skeleton, RecordErr
         0 => RecordError::NoBody { path },
         _ => RecordError::NoBodyOf { path, actor: actor.unwrap_or_default().to_owned(), names },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_names_no_file_in_another_folder() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("bodies");
+        let body = wire::Skeleton::from_core(&Skeleton::default());
+        for name in ["../lead", "/tmp/lead", ""] {
+            let error = write_body(&folder, name, &body, true).unwrap_err();
+            assert!(matches!(error, RecordError::NoName { .. }), "{error}");
+        }
+        let written = write_body(&folder, "lead", &body, true).unwrap();
+        assert_eq!(written, Some(folder.join("lead.mcap")));
+    }
 }

@@ -16,8 +16,10 @@ pub enum RecordError {
     /// The limit is [`Writer::MOST_TOPICS`](super::Writer::MOST_TOPICS).
     #[error("{topic} is not recorded: a recording has at most {most} topics")]
     TooManyTopics { topic: String, most: usize },
+    /// `found` are the first bytes of the file.
     #[error("{} is not an MCAP recording: {found}; make one with `bundlemocap import`", path.display())]
     NotMcap { path: PathBuf, found: String },
+    /// The topics have their schemas.
     #[error(
         "{} holds no messages of bundlemocap.v1, but {}; make a recording of keypoints with \
          `bundlemocap import`",

@@ -13,7 +13,6 @@ const AHEAD: Nanos = Nanos::SECOND;
 const COMPLETE: Field = field("KeypointSet", "complete_ns");
 const PERFORMER: Field = field("KeypointSet", "performer");
 const FRAMES: Field = field("KeypointSet", "frames");
-const LABEL: Field = field("KeypointSet", "label");
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
 
@@ -73,8 +72,7 @@ impl KeypointSet {
     /// The performer and the frames. The arguments are those of [`KeypointFrame::to_core`].
     ///
     /// # Errors
-    /// As [`KeypointFrame::to_core`]; more performers than there can be; several people in a frame; a label that cannot
-    /// be shown.
+    /// As [`KeypointFrame::to_core`]; more performers than there can be; several people in a frame.
     pub fn to_core(
         &self,
         index_of: impl Fn(&str) -> Option<usize>,
@@ -83,7 +81,6 @@ impl KeypointSet {
         if !TIMES_NS.contains(&self.complete_ns) {
             return Err(COMPLETE.invalid(format!("{} is no capture time", self.complete_ns)));
         }
-        self.label.iter().try_for_each(|label| label.check().map_err(|why| LABEL.invalid(why)))?;
         let frames = self.frames.iter().map(|frame| frame.to_core(&index_of));
         let frames: Vec<Detections> = frames.collect::<Result<_, _>>()?;
         if frames.iter().any(|frame| frame.people.len() > 1) {

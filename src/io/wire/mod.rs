@@ -27,6 +27,8 @@ pub(crate) use schema::SCHEMAS;
 pub use schema::{
     ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,
 };
+#[cfg(feature = "live")]
+pub(crate) use skeleton::is_length;
 pub use topic::{
     ActorChannel, NameError, StageChannel, Topic, TopicError, Topics, is_truth, valid_name,
 };

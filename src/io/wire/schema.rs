@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bytes_of_each_message_are_pinned() {
+    fn each_message_has_a_file_of_its_bytes() {
         for file in FILES {
             let path = format!("{}/tests/golden/{file}.snap", env!("CARGO_MANIFEST_DIR"));
             assert!(std::fs::exists(&path).unwrap(), "{path} is missing; see tests/it/messages.rs");

@@ -17,6 +17,11 @@ fn parent_index(joint: Joint) -> i32 {
     joint.parent().map_or(-1, |parent| parent.index() as i32)
 }
 
+/// Whether these are the sum, metres, and the number of measurements of a length.
+pub(crate) fn is_length(measured: &[f64; 2]) -> bool {
+    measured.iter().all(|x| (0.0..1e9).contains(x))
+}
+
 impl Skeleton {
     /// The joints, their rest offsets, the shape and the keypoint offsets.
     pub fn from_core(skeleton: &body::Skeleton) -> Self {
@@ -41,8 +46,7 @@ impl Skeleton {
     /// The measured lengths, if there are any.
     pub fn lengths(&self) -> Option<[[f64; 2]; LENGTHS]> {
         let (pairs, rest) = self.lengths_m.as_chunks::<2>();
-        let is_sound =
-            rest.is_empty() && pairs.iter().flatten().all(|x| x.is_finite() && *x >= 0.0);
+        let is_sound = rest.is_empty() && pairs.iter().all(is_length);
         pairs.try_into().ok().filter(|_| is_sound)
     }
 

@@ -117,8 +117,13 @@ macro_rules! channels {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum $Channel<'a> {
-            $($(#[$doc])* $Kind,)+
+            $(
+                $(#[$doc])*
+                #[doc = concat!("The topics end with `", $path, "`.")]
+                $Kind,
+            )+
             $(#[$named_doc])*
+            #[doc = concat!("The topics end with `", $first, "{", stringify!($name), "}", $last, "`.")]
             $Named {
                 /// The name.
                 $name: &'a str,
@@ -162,15 +167,15 @@ macro_rules! channels {
 
         impl Topics {
             $(
+                #[doc = concat!("The topic `", $path, "` of [`", stringify!($Message), "`] messages.\n")]
                 $(#[$doc])*
-                #[doc = concat!("\n\nIts messages are [`", stringify!($Message), "`].")]
                 pub fn $method(&self) -> String {
                     self.$of($Channel::$Kind)
                 }
             )+
 
+            #[doc = concat!("The topic of [`", stringify!($NamedMessage), "`] messages.\n")]
             $(#[$named_doc])*
-            #[doc = concat!("\n\nIts messages are [`", stringify!($NamedMessage), "`].")]
             pub fn $named_method(&self, $name: &str) -> String {
                 self.$of($Channel::$Named { $name })
             }

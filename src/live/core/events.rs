@@ -96,5 +96,8 @@ mod tests {
         assert_eq!(events.counts()[0].count, 1000);
         assert!(events.second().is_empty());
         assert!(events.add(&late(0), None, Some("left")).is_some());
+        // Of another node.
+        (0..2).for_each(|_| drop(events.add(&Event { count: u64::MAX, ..late(0) }, None, None)));
+        assert_eq!(events.counts()[0].count, u64::MAX);
     }
 }

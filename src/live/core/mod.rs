@@ -311,7 +311,8 @@ impl Core {
 
     fn dropped(&mut self, losses: Vec<Loss>) {
         for Loss { camera, dropped, too_large, bytes } in losses {
-            self.queue_dropped += dropped + too_large;
+            let lost = dropped.saturating_add(too_large);
+            self.queue_dropped = self.queue_dropped.saturating_add(lost);
             if dropped > 0 {
                 let detail = match camera {
                     Some(_) => "more messages than the node reads; they were dropped",

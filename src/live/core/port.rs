@@ -183,16 +183,15 @@ impl Carried {
     }
 }
 
-/// The performers of another node, from its status: each number once, and only names that a performer can have.
-pub fn people_of(status: &StageStatus) -> Vec<Known> {
+/// The performers of another node, from its status: each number once, and only names that a performer of the node that is
+/// called like this actor can have.
+pub fn people_of(status: &StageStatus, actor: &str) -> Vec<Known> {
     let mut numbers = BTreeSet::new();
     let is_sound = |one: &&JournalPerformer| {
-        (one.number as usize) < PerformerId::MOST
-            && numbers.insert(one.number)
-            && one.lengths_m.iter().all(|length| length.is_finite())
+        (one.number as usize) < PerformerId::MOST && numbers.insert(one.number)
     };
     let mut all: Vec<Known> = status.known.iter().filter(is_sound).map(known).collect();
-    let is_name = |name: &str| wire::valid_name(name).is_ok() && name != status.node;
+    let is_name = |name: &str| wire::valid_name(name).is_ok() && name != actor;
     all.iter_mut().filter(|one| !is_name(&one.name)).for_each(|one| one.name.clear());
     all
 }
@@ -213,7 +212,8 @@ fn known(wire: &JournalPerformer) -> Known {
         *point = Some(Vector3::from(*wire)).filter(|point| point.iter().all(|c| c.is_finite()));
     }
     let lengths = known.lengths.iter_mut().zip(wire.lengths_m.as_chunks::<2>().0);
-    lengths.for_each(|(length, wire)| *length = *wire);
+    let sound = lengths.filter(|(_, measured)| wire::is_length(measured));
+    sound.for_each(|(length, measured)| *length = *measured);
     known
 }
 
@@ -254,11 +254,12 @@ mod tests {
         let names = ["lead", "../lead", "/tmp/lead", "a*", "actor", "lead"];
         let numbers = [1, 2, 3, 4, 5, 1];
         let mut known: Vec<_> = numbers.into_iter().zip(names).map(of).collect();
-        let broken = JournalPerformer { lengths_m: vec![f64::NAN; 2], ..of((6, "other")) };
-        known.extend([broken, of((u32::MAX, "far"))]);
-        let node = "actor".to_owned();
-        let people = people_of(&StageStatus { node, known, ..StageStatus::default() });
+        let unsound = vec![0.5, 20.0, -1.0, 30.0, f64::NAN, 3.0, 0.5, 1e300];
+        known.push(JournalPerformer { lengths_m: unsound, ..of((6, "other")) });
+        known.push(of((u32::MAX, "far")));
+        let people = people_of(&StageStatus { known, ..StageStatus::default() }, "actor");
         let found: Vec<_> = people.iter().map(|one| (one.performer.0, &*one.name)).collect();
-        assert_eq!(found, [(1, "lead"), (2, ""), (3, ""), (4, ""), (5, "")]);
+        assert_eq!(found, [(1, "lead"), (2, ""), (3, ""), (4, ""), (5, ""), (6, "other")]);
+        assert_eq!(people[5].lengths[..4], [[0.5, 20.0], [0.0; 2], [0.0; 2], [0.0; 2]]);
     }
 }

@@ -222,7 +222,8 @@ impl Core {
         let last = self.sharing.performers.get(&performer).and_then(|shared| shared.last);
         let is_back = last.is_some_and(|last| last.complete - set.complete > BACK);
         self.note_arrivals(&set.frames, is_back);
-        *self.label_mut(performer.0) = message.label.unwrap_or_default();
+        let label = message.label.filter(|label| label.check().is_ok());
+        *self.label_mut(performer.0) = label.unwrap_or_default();
         let (run_id, number, complete) = (message.run_id, message.number, set.complete);
         self.sharing.complete = complete;
         let shared = self.sharing.performers.entry(performer).or_default();

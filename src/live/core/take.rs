@@ -244,11 +244,15 @@ impl Core {
     /// Sets the name and the colour of a performer that programs show.
     fn label(&mut self, take: &Take) -> Result<String, String> {
         let Take { name, display_name, colour, .. } = take;
-        let [shown, painted] = [display_name.clone(), colour.clone()];
-        let label = PerformerLabel { display_name: shown, colour: painted, locked: false };
+        let mut label = PerformerLabel {
+            display_name: display_name.clone(),
+            colour: colour.clone(),
+            ..PerformerLabel::default()
+        };
         label.check()?;
         let before = self.label_by_name(name)?;
-        *before = PerformerLabel { locked: before.locked, ..label };
+        label.locked = before.locked;
+        *before = label;
         let shown = if display_name.is_empty() { name } else { display_name };
         let colour = if colour.is_empty() { "the default colour" } else { colour };
         Ok(format!("{name} is shown as {shown:?}, {colour}"))

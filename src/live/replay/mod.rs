@@ -32,6 +32,7 @@ pub enum ReplayError {
         "there is no journal{asked}; give a recording of a node, made by `bundlemocap record`{found}"
     )]
     NoJournal { asked: String, found: String },
+    /// `first` is the number of the journal's first message.
     #[error(
         "the journal begins with number {first}: recording began later than the run; use \
          `bundlemocap take start NAME`, or start `bundlemocap record` before the cameras"
@@ -40,10 +41,12 @@ pub enum ReplayError {
     /// `why` is what is wrong with the given name, if there is one.
     #[error("{why}choose one of the recorded runs with --run: {found}")]
     SeveralRuns { why: String, found: String },
+    /// `index` is the number of entries before it.
     #[error(
         "message {index} of the journal, {bytes_hash:016x} on {topic}, is not in the recording"
     )]
     Missing { index: u64, topic: String, bytes_hash: u64 },
+    /// `index` is the number of entries before it.
     #[error("entry {index} of the journal cannot be replayed: {reason}")]
     Senseless { index: u64, reason: String },
     /// A journal that cannot be decoded.

@@ -17,7 +17,7 @@ use crate::core::tracker::{self, Job, Solution, Task};
 use crate::live::error::NodeError;
 
 /// A solver without a core of its own gives way to the other threads of the program.
-#[cfg(unix)]
+#[cfg(target_os = "linux")]
 const GIVES_WAY: i32 = 10;
 
 /// A solution from a solver's thread.

@@ -1,12 +1,13 @@
 //! Training options, and the command line that reproduces a run.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::evaluate::SPAN;
 use super::loss::Weights;
 use super::model::LossWeights;
 use super::{TrainError, optimiser, sampler};
 use crate::core::manifold::LATENT;
+use crate::io::file_name;
 
 /// Training options. The defaults produced the embedded weights. With the feature `cli`, they are options of the command
 /// `train`.
@@ -178,13 +179,12 @@ pub fn optimiser_config(options: &Options) -> optimiser::Config {
 /// The command line of `program` that reproduces a run: last path components of folder and file, and all options that
 /// differ from the default.
 pub fn command(options: &Options, program: &str) -> String {
-    let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let default = Options::default();
-    let mut command = format!("{program} {}/", last(&options.motions));
+    let mut command = format!("{program} {}/", file_name(&options.motions));
     if !options.test_subjects.is_empty() {
         command += &format!(" --test-subjects {}", options.test_subjects.join(","));
     }
-    command += &format!(" --out {}", last(&options.out));
+    command += &format!(" --out {}", file_name(&options.out));
     let settings = |o: &Options| {
         [
             ("seed", o.seed.to_string()),

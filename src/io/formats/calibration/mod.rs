@@ -22,6 +22,7 @@ use super::ImportError;
 use super::detections::natural_key;
 use crate::core::camera::{Camera, CameraError, Lens, Rig};
 use crate::core::time::Nanos;
+use crate::io::file_name;
 use crate::io::wire::valid_name;
 use convention::{Found, settle};
 use table::Tables;
@@ -138,7 +139,7 @@ fn files(path: &Path) -> std::io::Result<Vec<PathBuf>> {
         all.sort_by_cached_key(|file| natural_key(&file.to_string_lossy()));
         return Ok(all);
     }
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let name = file_name(path);
     let halves = [("intri", "extri"), ("cameras.txt", "images.txt")];
     let other = |(one, other): (&str, &str)| match (name.contains(one), name.contains(other)) {
         (true, _) => Some(path.with_file_name(name.replace(one, other))),
@@ -155,7 +156,7 @@ fn listed(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
 
 /// Whether a file of a folder can hold a part of a calibration.
 fn is_part(file: &Path) -> bool {
-    let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let name = file_name(file).to_lowercase();
     let endings =
         [".toml", ".json", ".yml", ".yaml", ".xml", ".pickle", ".pkl", ".qca.txt", ".xcp", ".mcal"];
     let is_colmap = COLMAP.contains(&&*name) || is_binary_colmap(file);
@@ -187,7 +188,7 @@ struct Parts {
 
 impl Parts {
     fn add(&mut self, file: &Path, bytes: &[u8], given: &Convention) -> Result<(), Fault> {
-        let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        let name = file_name(file).to_lowercase();
         if let Some(i) = COLMAP.iter().position(|one| *one == name) {
             self.format = Some("COLMAP");
             self.colmap[i] = Some(String::from_utf8_lossy(bytes).into_owned());

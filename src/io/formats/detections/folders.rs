@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::core::camera::Rig;
+use crate::io::file_name;
 use crate::io::formats::ImportError;
 
 /// How a folder was assigned to a camera.
@@ -203,11 +204,6 @@ fn has_words(name: &str, other: &str) -> bool {
     let run = |from: usize, to: usize| plain_name(&words[from..to].concat());
     let upto = |from: usize| (from + 1..=words.len()).any(|to| run(from, to) == other);
     !other.is_empty() && (0..words.len()).any(upto)
-}
-
-/// The last part of a path, for names and messages.
-pub(super) fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The last run of digits of a name without its suffix `.json` or `_keypoints.json`. `None` without

@@ -16,9 +16,10 @@ use super::ImportError;
 use crate::core::camera::Rig;
 use crate::core::detections::{Detection, Detections, Person};
 use crate::core::time::Timestamp;
+use crate::io::file_name;
+use folders::match_folders;
 pub(super) use folders::natural_key;
 pub use folders::{FolderMatch, MatchedBy};
-use folders::{file_name, match_folders};
 pub use order::PointOrder;
 use sources::{Source, TRIAL, ending, not_understood, sources};
 

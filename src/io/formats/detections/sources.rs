@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::folders::{file_name, frame_number, frame_numbers, video_name};
+use super::folders::{frame_number, frame_numbers, video_name};
 use super::{CameraReport, Frames, json, table};
 use crate::core::time::Timestamp;
+use crate::io::file_name;
 use crate::io::formats::ImportError;
 
 /// Files of a camera before they are given to one.
