@@ -121,10 +121,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         write_calibration(out, &found.rig, arguments.up)?;
     }
+    let from = if arguments.span.is_given() { " (counted from the first frame used)" } else { "" };
     for ChangedCamera { camera, what, at } in &found.changed {
         let at = at.seconds_since(times.first);
         let fix = format!("calibrate the part before or after {at:.1} s with --end or --start");
-        complain("warning", &format!("{camera}: {what}; it is not corrected: {fix}"));
+        complain("warning", &format!("{camera}: {what}{from}; it is not corrected: {fix}"));
     }
     let exit = lost(&recording);
     Ok(if found.changed.is_empty() { exit } else { Exit::InPart })

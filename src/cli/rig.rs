@@ -268,7 +268,7 @@ fn row(camera: &Camera) -> (String, String) {
     let centre = camera.centre_in_world();
     let width = f64::from(camera.width);
     let view = (0.5 * width / camera.focal.x).atan().to_degrees() * 2.0;
-    let down = (camera.rotation.row(2).transpose().y).asin().to_degrees();
+    let down = camera.rotation[(2, 1)].clamp(-1.0, 1.0).asin().to_degrees();
     let text = format!(
         "{} x {}, {view:.0} degrees wide, at x {:.2}, y {:.2}, z {:.2} m, looks {:.0} degrees {}",
         camera.width,

@@ -220,13 +220,14 @@ pub(super) struct Prepared {
 pub(super) struct Solved {
     group: Group,
     performers: Performers,
+    has_timecode: bool,
     /// What to tell of it: `note` or `warning`, and a sentence.
     pub(super) lines: Vec<(&'static str, String)>,
     pub(super) exit: Exit,
 }
 
 impl Solved {
-    fn of(file: &Path, group: Group, performers: Performers) -> Self {
+    fn of(file: &Path, group: Group, performers: Performers, has_timecode: bool) -> Self {
         let notes = group.performers.iter().flat_map(|one| one.summary.notes.clone());
         let mut seen = BTreeSet::new();
         let notes = notes.filter(|note| seen.insert(note.clone()));
@@ -241,7 +242,7 @@ impl Solved {
                 exit = Exit::InPart;
             }
         }
-        Self { group, performers, lines, exit }
+        Self { group, performers, has_timecode, lines, exit }
     }
 
     /// The cameras' time offsets that are in use: what they are, and their values.
@@ -258,7 +259,7 @@ impl Solved {
     /// The files that were written.
     pub(super) fn files(&self) -> Vec<String> {
         let names: Vec<_> = self.group.performers.iter().map(|one| one.performer.clone()).collect();
-        files(&names, self.performers)
+        files(&names, self.performers, self.has_timecode)
     }
 
     /// What `--json` prints.
@@ -359,7 +360,7 @@ impl Prepared {
     ) -> Result<Solved, Failure> {
         let performers = self.config.stage.performers;
         let shared = arguments.shared_inputs()?.into_iter().map(|(_, input)| input);
-        let outputs = files(&[Topics::default().actor], Performers::default());
+        let outputs = files(&[Topics::default().actor], Performers::default(), false);
         for input in shared.chain(arguments.config.clone()).chain([file.to_owned()]) {
             outputs.iter().try_for_each(|name| is_no_input(&input, &out.join(name)))?;
         }
@@ -409,7 +410,7 @@ impl Prepared {
                 let _ = std::fs::remove_file(bvh.with_extension("timecode.txt"));
             }
         }
-        Ok(Solved::of(file, group, performers))
+        Ok(Solved::of(file, group, performers, times.house.is_some()))
     }
 
     /// Waits until no other solve makes people known in a folder. It is locked until the file is dropped. After a stop
@@ -463,10 +464,11 @@ pub(super) fn lost(recording: &Recording) -> Exit {
 }
 
 /// The files of a solve.
-fn files(names: &[String], performers: Performers) -> Vec<String> {
+fn files(names: &[String], performers: Performers, has_timecode: bool) -> Vec<String> {
+    let suffixes = ["bvh", "states.csv"].into_iter().chain(has_timecode.then_some("timecode.txt"));
     let own = |suffix| names.iter().map(move |name| of_performer(name, performers, suffix));
     let first = std::iter::once("poses.mcap".to_owned());
-    first.chain(own("bvh")).chain(own("states.csv")).chain(["report.html".to_owned()]).collect()
+    first.chain(suffixes.flat_map(own)).chain(["report.html".to_owned()]).collect()
 }
 
 /// The performers of a solved recording; none if it cannot be read.

@@ -354,6 +354,7 @@ pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
         // The summary of a take that is being solved anew is of the solve before.
         let summary = read(SUMMARY).filter(|_| manifest.is_some());
         let summary = summary.and_then(|text| serde_json::from_str::<Value>(&text).ok());
+        let summary = summary.filter(Value::is_object);
         let name = file_name(&folder);
         takes.insert(name, manifest.zip(summary).ok_or_else(|| not_solved(&text)));
     }

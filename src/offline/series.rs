@@ -27,9 +27,9 @@ impl<T> Default for Series<T> {
 }
 
 impl<T> Series<T> {
-    /// With at most `limit` bins.
+    /// With at most `limit` bins, and two at least.
     pub(crate) fn up_to(limit: usize) -> Self {
-        Self { bins: Vec::new(), limit, size: 1, last: 1 }
+        Self { bins: Vec::new(), limit: limit.max(2), size: 1, last: 1 }
     }
 }
 
@@ -113,5 +113,12 @@ mod tests {
         assert_eq!((series.bins()[1].at, series.bins()[1].values()), (16, [23.5]));
         let count: f64 = series.bins().iter().map(|bin| bin.count).sum();
         assert_eq!(count as usize, 10 * LIMIT);
+    }
+
+    #[test]
+    fn the_smallest_series_does_not_grow() {
+        let mut series = Series::up_to(1);
+        (0..100).for_each(|i| series.push(Mean::new(i, [0.0])));
+        assert!(series.bins().len() <= 2, "{}", series.bins().len());
     }
 }

@@ -1,6 +1,6 @@
 //! The tracker's loop.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -18,6 +18,8 @@ use crate::error;
 use crate::motion::{Body, deviations, positions, rotations, settings};
 use crate::recording::{capture, format_of, numbers, people};
 
+/// Most events that wait until somebody takes them.
+const MOST_EVENTS: usize = 10_000;
 /// Between two frames of a camera: 10 kHz.
 const SHORTEST: Nanos = Nanos::new(100_000);
 /// Longest time between frames: in a gap the tracker still has a pose for each frame.
@@ -88,7 +90,7 @@ struct Staged {
     last: Vec<Option<Timestamp>>,
     /// The newest of all cameras.
     newest: Option<Timestamp>,
-    events: Vec<String>,
+    events: VecDeque<String>,
     has_ended: bool,
 }
 
@@ -109,9 +111,9 @@ impl Staged {
                 }
                 Output::Performer(performer, tracker::Output::Event(event)) => {
                     let text = format!("{}: {}", self.name_of(performer), self.words(&event));
-                    self.events.push(text);
+                    self.note(text);
                 }
-                Output::Event(event) => self.events.push(self.words(&event)),
+                Output::Event(event) => self.note(self.words(&event)),
                 _ => {}
             }
         }
@@ -119,6 +121,14 @@ impl Staged {
     }
 
     /// As [`solve`](crate::motion::solve) names them.
+    /// Keeps an event until somebody takes it, or too many come.
+    fn note(&mut self, text: String) {
+        if self.events.len() == MOST_EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back(text);
+    }
+
     fn name_of(&self, performer: PerformerId) -> String {
         match &self.only {
             Some(name) => name.clone(),
@@ -166,7 +176,7 @@ impl Tracker {
             frames: vec![0; rig.0.cameras.len()],
             last: vec![None; rig.0.cameras.len()],
             newest: None,
-            events: Vec::new(),
+            events: VecDeque::new(),
             has_ended: false,
         };
         Ok(Self { rig, format: format_of(format)?, stage: Mutex::new(stage) })
@@ -230,6 +240,6 @@ impl Tracker {
 
     /// What happened since the last call.
     fn take_events(&self, py: Python) -> Vec<String> {
-        py.detach(|| std::mem::take(&mut self.stage().events))
+        py.detach(|| std::mem::take(&mut self.stage().events).into())
     }
 }

@@ -53,12 +53,14 @@ impl Access {
     fn is_own(&self, headers: &HeaderMap, path: &str) -> bool {
         let text = |name: &HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
         let Some(host) = text(&HOST) else { return false };
-        let port = self.address.port();
-        let own =
-            [format!("localhost:{port}"), format!("127.0.0.1:{port}"), self.address.to_string()];
-        // Browsers leave out the usual port.
+        // The port may be forwarded. Browsers leave out the usual one.
+        let name = match host.rsplit_once(':') {
+            Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
+            _ => host,
+        };
         let is_here = self.token.is_some()
-            || own.iter().any(|own| [own, own.trim_end_matches(":80")].contains(&host));
+            || ["localhost", "127.0.0.1", "[::1]"].contains(&name)
+            || host == self.address.to_string().trim_end_matches(":80");
         let is_same = text(&ORIGIN).is_none_or(|origin| origin == format!("http://{host}"));
         let from = text(&FETCH_SITE).unwrap_or("none");
         is_here && is_same && (path == "/" || ["none", "same-origin"].contains(&from))

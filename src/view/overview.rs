@@ -275,6 +275,9 @@ impl Gathered {
             count: event.count,
             detail: event.detail,
         };
+        // They may be of several files.
+        let mut events: Vec<_> = self.events.into_iter().map(event).collect();
+        events.sort_by(|a, b| a.at.total_cmp(&b.at));
         Overview {
             start_ns: start.ns().to_string(),
             seconds: since(end),
@@ -282,17 +285,18 @@ impl Gathered {
             statuses,
             node,
             angles,
-            events: self.events.into_iter().map(event).collect(),
+            events,
             cameras: self.cameras,
             damage: self.damage,
         }
     }
 }
 
-/// Continues the last run, or begins one.
+/// Continues the last run, or begins one after a gap or with another state.
 fn extend(runs: &mut Vec<[Stamp; 2]>, at: Stamp) {
+    const GAP: Nanos = Nanos::SECOND;
     match runs.last_mut() {
-        Some([first, last]) if first.1 == at.1 => *last = at,
+        Some([first, last]) if first.1 == at.1 && at.0 - last.0 < GAP => *last = at,
         _ => runs.push([at; 2]),
     }
 }

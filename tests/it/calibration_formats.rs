@@ -574,6 +574,10 @@ fn binaries_and_several_images_of_a_camera_of_colmap_are_said() {
     };
     fs::write(folder.path().join("images.txt"), images(0.0)).unwrap();
     assert_eq!(read(&path).rig.cameras.len(), 2);
+    let without_empty_lines = images(0.0).replace("\n\n", "\n");
+    fs::write(folder.path().join("images.txt"), without_empty_lines).unwrap();
+    let error = read_calibration(&path, &Convention::default()).unwrap_err().to_string();
+    assert!(error.contains("put an empty line after each image"), "{error}");
     fs::write(folder.path().join("images.txt"), images(0.5)).unwrap();
     let error = read_calibration(&path, &Convention::default()).unwrap_err().to_string();
     assert!(error.contains("the images of cam01 have different poses"), "{error}");

@@ -936,16 +936,33 @@ fn points_in_shares_of_the_image_and_with_ids_are_read() {
     for (file, text) in [
         ("cam1/clip_12.txt", format!("0 0.5 0.5 0.1 0.2{points}\n")),
         ("cam1/clip_13.txt", format!("0 0.5 0.5 0.1 0.2{points} 0.8 7\n")),
+        // An id without a confidence, and a confidence.
+        ("cam1/clip_14.txt", format!("0 0.5 0.5 0.1 0.2{points} 7\n0 0.5 0.5 0.1 0.2{points} 3\n")),
+        ("cam1/clip_15.txt", format!("0 0.5 0.5 0.1 0.2{points} 0.8\n")),
         ("cam1/classes.txt", "person".into()),
         ("cam2/clip_12.txt", String::new()),
     ] {
         write(root.path(), file, &text);
     }
     let read = read_back(root.path(), None);
-    assert_eq!(read.len(), 3);
+    assert_eq!(read.len(), 5);
     let point = read[0].2[0].points[3].unwrap();
     assert_eq!((point.pixel.x, point.pixel.y, point.confidence), (320.0, 120.0, 0.9));
-    assert_eq!((read[0].2[0].id, read[2].2[0].id), (None, Some(7)));
+    let ids = read.iter().map(|(_, _, people)| people.iter().map(|one| one.id).collect::<Vec<_>>());
+    let ids: Vec<_> = ids.filter(|ids| !ids.is_empty()).collect();
+    assert_eq!(ids, [vec![None], vec![Some(7)], vec![Some(7), Some(3)], vec![None]]);
+
+    let root = TempDir::new().unwrap();
+    let all = |value: f64| vec![value; 17];
+    for (frame, scale) in [(1, 1.0), (2, 100.0)] {
+        let points = json!({ "x": all(0.5 * scale), "y": all(0.25 * scale), "visible": all(0.9) });
+        let people = json!([{ "name": "person", "class": 0, "keypoints": points }]);
+        write(root.path(), &format!("cam1/{frame}.json"), &people.to_string());
+        write(root.path(), &format!("cam2/{frame}.json"), &people.to_string());
+    }
+    let pixel = |(_, _, people): &(_, _, Vec<Person>)| people[0].points[3].unwrap().pixel;
+    let pixels: Vec<_> = read_back(root.path(), None).iter().map(pixel).collect();
+    assert_eq!([pixels[0], pixels[2]].map(|p| [p.x, p.y]), [[320.0, 120.0], [50.0, 25.0]]);
 
     let root = TempDir::new().unwrap();
     let landmark =

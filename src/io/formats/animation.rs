@@ -86,8 +86,8 @@ pub(super) fn joint_weights(influences: &[(u8, f64); 4]) -> ([u8; INFLUENCES], [
 /// The keys of an animation.
 #[derive(Default)]
 pub(super) struct Keys {
-    /// Seconds; they increase.
-    pub(super) times: Vec<[f32; 1]>,
+    /// Seconds; they increase, in f32 too.
+    pub(super) times: Vec<f64>,
     pub(super) positions: Vec<[f32; 3]>,
     /// By joint: x, y, z, w. Each is the nearer to the last of the two quaternions of its rotation, for programs
     /// interpolate between them.
@@ -105,28 +105,28 @@ impl Keys {
         let style = style.clone().with_axes(&skin.axes);
         let mut keys = Self::default();
         for (frame, (seconds, pose)) in poses.into_iter().enumerate() {
-            let (time, pose) = (seconds as f32, style.pose(&pose));
+            let pose = style.pose(&pose);
             let position: [f32; 3] = pose.root_position.map(|metres| metres as f32).into();
             let turns = std::iter::once(&pose.root_rotation).chain(&pose.local);
             let turns = turns.map(|turn| so3::xyzw_from_rotation(turn).map(|number| number as f32));
             let turns = Vec::from_iter(turns);
-            let numbers = turns.as_flattened().iter().chain(&position).chain([&time]);
-            if !numbers.copied().all(f32::is_finite) {
+            let numbers = turns.as_flattened().iter().chain(&position);
+            if !seconds.is_finite() || !numbers.copied().all(f32::is_finite) {
                 return Err(frame);
             }
-            let last = keys.times.last().map_or(f64::NEG_INFINITY, |[last]| f64::from(*last));
+            let last = keys.times.last().copied().unwrap_or(f64::NEG_INFINITY);
             if last.is_finite() && seconds - last > (GAP_PERIODS * period).max(GAP_S) {
-                keys.hold((seconds - period) as f32);
+                keys.hold(seconds - period);
             }
-            if time > last as f32 {
-                keys.add(time, position, &turns);
+            if seconds as f32 > last as f32 {
+                keys.add(seconds, position, &turns);
             }
         }
         Ok(keys)
     }
 
-    fn add(&mut self, seconds: f32, position: [f32; 3], turns: &[[f32; 4]]) {
-        self.times.push([seconds]);
+    fn add(&mut self, seconds: f64, position: [f32; 3], turns: &[[f32; 4]]) {
+        self.times.push(seconds);
         self.positions.push(position);
         for (keys, turn) in self.rotations.iter_mut().zip(turns) {
             keys.push(keys.last().map_or(*turn, |last| so3::continued(*turn, last)));
@@ -134,8 +134,8 @@ impl Keys {
     }
 
     /// Repeats the last key.
-    fn hold(&mut self, seconds: f32) {
-        self.times.push([seconds]);
+    fn hold(&mut self, seconds: f64) {
+        self.times.push(seconds);
         self.positions.extend_from_within(self.positions.len() - 1..);
         self.rotations.iter_mut().for_each(|keys| keys.extend_from_within(keys.len() - 1..));
     }
@@ -165,7 +165,7 @@ mod tests {
         let at = [0.0, 0.1, 0.5, 0.5, 0.3, 0.6];
         let turns = at.map(|seconds| (seconds, turned(100.0 * seconds)));
         let keys = Keys::of(turns, 0.1, &style, &skin).unwrap();
-        let times: Vec<f32> = keys.times.iter().map(|[time]| *time).collect();
+        let times: Vec<f32> = keys.times.iter().map(|time| *time as f32).collect();
         assert_eq!(times, [0.0, 0.1, 0.4, 0.5, 0.6]);
         assert_eq!(keys.rotations[0][1], keys.rotations[0][2]);
         let far = Pose { root_position: Vector3::repeat(1e39), ..Pose::rest() };

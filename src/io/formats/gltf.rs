@@ -199,7 +199,8 @@ fn rows(vectors: &[Vector3<f64>]) -> Vec<[f32; 3]> {
 
 /// The keys as an animation of the nodes.
 fn animation(name: &str, keys: &Keys, buffer: &mut Buffer) -> Value {
-    let times = buffer.floats("SCALAR", &keys.times, None);
+    let times: Vec<[f32; 1]> = keys.times.iter().map(|seconds| [*seconds as f32]).collect();
+    let times = buffer.floats("SCALAR", &times, None);
     let mut outputs = vec![(0, "translation", buffer.floats("VEC3", &keys.positions, None))];
     for (joint, turns) in keys.rotations.iter().enumerate() {
         outputs.push((joint, "rotation", buffer.floats("VEC4", turns, None)));

@@ -35,6 +35,8 @@ fn shared<T>(all: Vec<T>) -> Shared<T> {
 const MAX_CONTAINERS: usize = 20_000;
 /// Values of the tree, at most.
 const MAX_VALUES: usize = 200_000;
+/// Long texts and arrays count as a value for so many bytes.
+const BYTES_OF_VALUE: usize = 1000;
 
 /// The pickle as a tree. Arrays are flat lists of their numbers, row by row.
 ///
@@ -255,6 +257,12 @@ fn plain(item: &Item, depth: usize, count: &mut usize) -> Result<Value, String> 
     if depth > MAX_DEPTH || *count > MAX_VALUES {
         return Err("pickle: it holds too much".into());
     }
+    // What is named often is copied often.
+    *count += match item {
+        Item::Plain(Value::String(text)) => text.len() / BYTES_OF_VALUE,
+        Item::Bytes(bytes) => bytes.len() / BYTES_OF_VALUE,
+        _ => 0,
+    };
     let mut of = |item: &Item| plain(item, depth + 1, count);
     match item {
         Item::Plain(value) => Ok(value.clone()),
@@ -269,13 +277,17 @@ fn plain(item: &Item, depth: usize, count: &mut usize) -> Result<Value, String> 
             let fields = all.borrow().iter().map(field).collect::<Result<Map<_, _>, _>>()?;
             Ok(Value::Object(fields))
         }
-        Item::Object(object) => numbers(object).ok_or_else(|| {
-            let what = match &object.0 {
-                Item::Global(name) => name.as_str(),
-                _ => "an object",
-            };
-            format!("pickle: {what} is neither a plain value nor a numpy array of numbers")
-        }),
+        Item::Object(object) => numbers(object)
+            .inspect(|all| {
+                *count += all.as_array().map_or(0, Vec::len) * size_of::<Value>() / BYTES_OF_VALUE;
+            })
+            .ok_or_else(|| {
+                let what = match &object.0 {
+                    Item::Global(name) => name.as_str(),
+                    _ => "an object",
+                };
+                format!("pickle: {what} is neither a plain value nor a numpy array of numbers")
+            }),
         Item::Mark | Item::Global(_) => Err("pickle: a class where a value should be".into()),
     }
 }

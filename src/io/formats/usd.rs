@@ -84,7 +84,7 @@ fn point(point: &Vector3<f64>) -> String {
 }
 
 fn header(Description { name, fps, timecode, .. }: &Description, keys: &Keys) -> String {
-    let last = keys.times.last().map_or(0.0, |[seconds]| f64::from(*seconds) * fps);
+    let last = keys.times.last().map_or(0.0, |seconds| seconds * fps);
     let timecode = timecode.as_ref().map_or_else(String::new, |timecode| {
         format!("    customLayerData = {{\n        string timecode = {timecode:?}\n    }}\n")
     });
@@ -133,9 +133,9 @@ fn animation(
     writeln!(file, "            half3[] scales = {ones}")?;
     // Only the pelvis moves in its parent.
     let others = joined(Joint::ALL[1..].iter().map(|&joint| point(&skin.in_parent(joint).1)));
-    let frame = |[seconds]: [f32; 1]| {
-        // Times are rounded to f32; frames are whole where the poses are evenly spaced.
-        let frame = f64::from(seconds) * fps;
+    let frame = |seconds: f64| {
+        // Times are rounded; frames are whole where the poses are evenly spaced.
+        let frame = seconds * fps;
         if (frame - frame.round()).abs() < 0.05 { frame.round() } else { frame }
     };
     writeln!(file, "            float3[] translations.timeSamples = {{")?;

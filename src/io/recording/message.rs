@@ -40,7 +40,7 @@ pub struct RawEntry {
     pub payload: Vec<u8>,
 }
 
-/// The content of a message. Ours are checked: their `to_core` succeeds (for keypoints, if the
+/// The content of a message. Ours are checked: their `to_core`, if they have one, succeeds (for keypoints, if the
 /// camera is known). [`wire`](crate::io::wire) defines the JSON; foreign messages are `null`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]

@@ -1,8 +1,9 @@
 //! Wire types and their conversions; the schemas are in `schemas/`.
 //!
-//! The types generated from the schemas are re-exported here. Each has `from_core`, which cannot
-//! fail, and `to_core`, which checks all data from outside: lengths, finite numbers, quaternions,
-//! names. Invalid data never cause a panic.
+//! The types generated from the schemas are re-exported here. Those of cameras and poses have `from_core`, which cannot
+//! fail, and `to_core`, which checks all data from outside: lengths, finite numbers, quaternions, names; `Event` and
+//! `RetargetedPose` have `validated`. Who uses counters, statuses, commands or journals checks what is used. Invalid data
+//! never cause a panic.
 
 mod check;
 mod event;

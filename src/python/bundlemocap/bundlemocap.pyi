@@ -260,7 +260,8 @@ class Tracker:
     def end(self) -> list[Pose]:
         """The last poses; nothing may be added after it."""
     def take_events(self) -> list[str]:
-        """What happened since the last call, such as a performer who was lost: performer, kind, camera, details."""
+        """What happened since the last call, such as a performer who was lost: performer, kind, camera, details. The last
+        10,000 events are kept."""
 
 def main() -> None:
     """Runs the program with `sys.argv`, and ends the process."""

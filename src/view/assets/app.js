@@ -23,7 +23,7 @@ setExpected(about.expected, about.used_again);
 const isLive = about.shows === "live";
 const overview = isLive ? undefined : await (await fetch("overview.json")).json();
 const store = new Store(new Decoder(messages), about.node ?? undefined, overview?.node);
-const source = isLive ? new Live(store, about.name) : new Recording(store, overview);
+const source = isLive ? new Live(store, about) : new Recording(store, overview);
 const view = new View($("canvas"), $("labels"));
 /** Performers are bones until the template is here. */
 async function fetchTemplate() {
@@ -494,8 +494,14 @@ function step(direction) {
   remember();
 }
 
+let remembering;
+/** Notes the time in the address, a few times a second: browsers refuse more. */
 function remember() {
-  if (!isLive) history.replaceState(null, "", `#t=${chosen.time.toFixed(2)}`);
+  if (isLive || remembering) return;
+  remembering = setTimeout(() => {
+    remembering = undefined;
+    history.replaceState(null, "", `#t=${chosen.time.toFixed(2)}`);
+  }, 250);
 }
 
 function goToHash() {

@@ -76,7 +76,7 @@ function eventsOf(store, name, time) {
   const last = (wanted) => mine.findLast(({ kind }) => kind === wanted);
   // A node that starts anew judges the clocks anew.
   const run = store.historyAt(now).at(-1)?.status.run_id;
-  const isOfRun = (event) => event && (event.kind === "camera_moved" || event.run === undefined || event.run === run);
+  const isOfRun = (event) => event && (event.kind === "camera_moved" || !event.run || run === undefined || event.run === run);
   const [lasting, returned] = [LASTING.map(last).filter(isOfRun), last("returned")?.at ?? -Infinity];
   const isOver = ({ kind, at }) => LASTING.includes(kind) || (kind === "silent" && at <= returned) || now - at >= KEPT;
   return mine.filter((event) => lasting.includes(event) || !isOver(event));

@@ -92,7 +92,7 @@ export class Panes {
       if (!areSame) pane.isOld = true;
       const lens = this.lenses?.get(name);
       const frame = store.keypoints.get(name)?.shown(time);
-      const [width, height] = lens ? [lens.width, lens.height] : (frame?.size ?? [16, 9]);
+      const [width, height] = lens ? [lens.width, lens.height] : (frame?.size[0] > 0 ? frame.size : [1920, 1080]);
       const wide = Math.round(pane.canvas.clientWidth * Math.min(devicePixelRatio, 2)) || 200;
       const high = Math.round((wide * height) / Math.max(width, 1));
       const isResized = pane.canvas.width !== wide || pane.canvas.height !== high;

@@ -10,9 +10,10 @@ const [KEPT, KEPT_POINTS] = [60, 30];
 
 /** A live stage. A lost connection is opened again. */
 export class Live {
-  constructor(store, stage) {
+  /** `about`: what the server said of itself when the page was opened. */
+  constructor(store, about) {
     this.store = store;
-    this.stage = stage;
+    [this.about, this.stage] = [about, about.name];
     this.connected = false;
     this.error = "";
     this.wait = 250;
@@ -22,6 +23,9 @@ export class Live {
     this.receivers = undefined;
     /** Whether anybody else receives poses, announced or not; undefined if it is not known. */
     this.received = undefined;
+    /** When something came last. */
+    this.heard = performance.now();
+    setInterval(() => this.watch(), 2000);
     this.open();
   }
 
@@ -30,19 +34,39 @@ export class Live {
     this.socket = socket;
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => {
+      this.heard = performance.now();
       if (typeof data === "string") return this.said(JSON.parse(data));
       this.bytes += data.byteLength;
       for (const frame of frames(data)) this.store.take(frame, this.stage);
     };
     socket.onclose = () => {
       this.connected = false;
-      // A browser does not say why a socket was refused.
-      fetch("about.json").then(({ status }) => {
-        if (status === 401) this.error = "The program was started again and has a new address: open the one that it prints.";
-      }, () => {});
+      this.ask();
       setTimeout(() => this.open(), this.wait);
       this.wait = Math.min(2 * this.wait, 4000);
     };
+  }
+
+  /** Asks the server what it is: a browser does not say why a socket was refused. Of another one, the page is another. */
+  ask() {
+    fetch("about.json").then(async (answer) => {
+      if (answer.status === 401) {
+        this.error = "The program was started again and has a new address: open the one that it prints.";
+      } else if (answer.ok) {
+        const { about } = await answer.json();
+        const isOther = (field) => about[field] !== this.about[field];
+        if (["version", "shows", "name", "node"].some(isOther)) location.reload();
+      }
+    }).catch(() => {});
+  }
+
+  /** Opens the connection again if nothing came for long: the server says every two seconds who receives. */
+  watch() {
+    if (!this.connected || performance.now() - this.heard < 15_000) return;
+    this.socket.onclose = this.socket.onmessage = null;
+    this.socket.close();
+    this.connected = false;
+    this.open();
   }
 
   /** What the server says of the bus. */
@@ -50,6 +74,7 @@ export class Live {
     if (open) {
       [this.connected, this.error, this.wait] = [true, "", 250];
       this.send();
+      this.ask();
     }
     if (error !== undefined) this.error = error;
     if (dropped !== undefined) this.store.dropped = dropped;

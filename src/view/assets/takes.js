@@ -153,7 +153,7 @@ export function takes(store, source, lookOf, floorAt) {
 /** The name of the next take: one more than the number at its end. */
 function next(name) {
   const [, stem, digits] = /^(.*?)(\d*)$/.exec(name);
-  return digits ? stem + String(Number(digits) + 1).padStart(digits.length, "0") : `${name}_02`;
+  return digits ? stem + String(BigInt(digits) + 1n).padStart(digits.length, "0") : `${name}_02`;
 }
 
 function set(element, text) {

@@ -28,7 +28,13 @@ pub(super) fn cameras(cameras: &str, images: &str) -> Result<Vec<Calibrated>, Fa
             continue;
         }
         all.push(image(number, line, &inside)?);
-        images_and_points.next();
+        if let Some((next, points)) = images_and_points.next()
+            && image(next, points, &inside).is_ok()
+        {
+            let what = "another image, where the points of the one before should be";
+            let fix = "put an empty line after each image";
+            return Err(Fault::Text(format!("images.txt line {next}: {what}; {fix}")));
+        }
     }
     all.sort_by_cached_key(|camera| natural_key(&camera.name));
     // Images of a camera that stands still.

@@ -184,6 +184,18 @@ fn person(person: &Value, size: [u32; 2], report: &mut CameraReport) -> Result<R
     Ok(RawPerson { id, points })
 }
 
+/// Points x, y, c, where x and y may be shares of the image.
+fn maybe_shares(
+    all: &[[f64; 3]],
+    size: [u32; 2],
+    report: &mut CameraReport,
+) -> Vec<Option<Detection>> {
+    let is_share = all.iter().all(|[x, y, _]| !(x.abs() > SHARE || y.abs() > SHARE));
+    let [width, height] = if is_share { size.map(f64::from) } else { [1.0, 1.0] };
+    report.shares |= is_share && all.iter().any(|[x, y, _]| x.abs() + y.abs() > 0.0);
+    all.iter().map(|[x, y, c]| report.detection(x * width, y * height, *c)).collect()
+}
+
 /// The points in one of the shapes: x, y, c one after the other; pairs or triples; fields x, y and visible of all
 /// points; fields x, y and visibility of each.
 fn values(
@@ -198,7 +210,6 @@ fn values(
         value => value.as_f64().ok_or_else(wrong),
     };
     let list = |value: &Value| value.as_array().ok_or_else(wrong)?.iter().map(number).collect();
-    let mut point = |x: f64, y: f64, c: f64| report.detection(x, y, c);
     if let (Some(x), Some(y)) = (points.get("x"), points.get("y")) {
         let (x, y): (Vec<f64>, Vec<f64>) = (list(x)?, list(y)?);
         let c = points.get("visible").or(points.get("confidence")).map(&list);
@@ -206,9 +217,11 @@ fn values(
         if x.len() != y.len() || x.len() != c.len() {
             return Err("a person's x, y and visible have different lengths".into());
         }
-        return Ok((0..x.len()).map(|i| point(x[i], y[i], c[i])).collect());
+        let all: Vec<_> = (0..x.len()).map(|i| [x[i], y[i], c[i]]).collect();
+        return Ok(maybe_shares(&all, size, report));
     }
     let all = points.as_array().ok_or_else(wrong)?;
+    let mut point = |x: f64, y: f64, c: f64| report.detection(x, y, c);
     match all.first() {
         Some(first) if first.is_object() => {
             let of = |one: &Value| {
@@ -217,11 +230,7 @@ fn values(
                 Ok::<_, String>([field("x")?, field("y")?, c])
             };
             let all = all.iter().map(of).collect::<Result<Vec<_>, _>>()?;
-            let is_share = all.iter().all(|[x, y, _]| !(x.abs() > SHARE || y.abs() > SHARE));
-            let [width, height] = if is_share { size.map(f64::from) } else { [1.0, 1.0] };
-            let points = all.iter().map(|[x, y, c]| point(x * width, y * height, *c)).collect();
-            report.shares |= is_share && all.iter().any(|[x, y, _]| x.abs() + y.abs() > 0.0);
-            Ok(points)
+            Ok(maybe_shares(&all, size, report))
         }
         Some(first) if first.is_array() => {
             let scores: Option<Vec<f64>> = scores.map(&list).transpose()?;

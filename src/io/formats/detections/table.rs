@@ -314,14 +314,22 @@ pub(super) fn yolo(
     let [width, height] = size.map(f64::from);
     report.shares = true;
     let mut people = Vec::new();
-    for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+    let numbers = |(i, line): (usize, &str)| {
         let numbers: Option<Vec<f64>> =
             line.split_whitespace().map(|word| word.parse().ok()).collect();
         let numbers = numbers.filter(|all| all.len() > 7);
-        let numbers = numbers.ok_or_else(|| {
-            format!("line {}: not class, box and points as YOLO writes them", i + 1)
-        })?;
-        let id = (numbers.len() % 3 == 1).then(|| numbers[numbers.len() - 1] as i64);
+        numbers
+            .ok_or_else(|| format!("line {}: not class, box and points as YOLO writes them", i + 1))
+    };
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let lines = lines.map(numbers).collect::<Result<Vec<_>, _>>()?;
+    let last = |numbers: &[f64]| numbers[numbers.len() - 1];
+    // One number after the points is the confidence of the box, or with whole numbers from 1 the id.
+    let is_id = |numbers: &Vec<f64>| last(numbers) >= 1.0 && last(numbers).fract() == 0.0;
+    let are_ids = lines.iter().all(is_id);
+    for numbers in lines {
+        let has_id = numbers.len() % 3 == 1 || numbers.len() % 3 == 0 && are_ids;
+        let id = has_id.then(|| last(&numbers) as i64);
         let points = numbers[5..].chunks_exact(3);
         let points = points.map(|p| report.detection(p[0] * width, p[1] * height, p[2]));
         people.push(RawPerson { id, points: points.collect() });
