@@ -121,7 +121,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         write_calibration(out, &found.rig, arguments.up)?;
     }
-    let from = if arguments.span.is_given() { " (counted from the first frame used)" } else { "" };
+    let from = match arguments.span.is_given() {
+        true => " (its seconds count from the first frame that is used)",
+        false => "",
+    };
     for ChangedCamera { camera, what, at } in &found.changed {
         let at = at.seconds_since(times.first);
         let fix = format!("calibrate the part before or after {at:.1} s with --end or --start");

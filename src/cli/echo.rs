@@ -143,10 +143,11 @@ fn echo(
     let (begin, mut waits) = (Instant::now(), true);
     while printed < count && !stop.is_set() {
         let received = inbox.next(ATTENTION);
-        if waits && received.is_none() && begin.elapsed() > patience {
+        waits &= received.is_none();
+        if waits && begin.elapsed() > patience {
+            waits = false;
             nothing();
         }
-        waits &= received.is_none() && begin.elapsed() <= patience;
         let line = match (form, received) {
             (Form::Line, Some(received)) => line(&received),
             (Form::Json, Some(received)) => json_line(&received).to_string(),

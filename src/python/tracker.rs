@@ -120,7 +120,6 @@ impl Staged {
         poses
     }
 
-    /// As [`solve`](crate::motion::solve) names them.
     /// Keeps an event until somebody takes it, or too many come.
     fn note(&mut self, text: String) {
         if self.events.len() == MOST_EVENTS {
@@ -129,6 +128,7 @@ impl Staged {
         self.events.push_back(text);
     }
 
+    /// As [`solve`](crate::motion::solve) names them.
     fn name_of(&self, performer: PerformerId) -> String {
         match &self.only {
             Some(name) => name.clone(),

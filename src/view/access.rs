@@ -53,6 +53,7 @@ impl Access {
     fn is_own(&self, headers: &HeaderMap, path: &str) -> bool {
         let text = |name: &HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
         let Some(host) = text(&HOST) else { return false };
+        let own = self.address.to_string();
         // The port may be forwarded. Browsers leave out the usual one.
         let name = match host.rsplit_once(':') {
             Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
@@ -60,7 +61,7 @@ impl Access {
         };
         let is_here = self.token.is_some()
             || ["localhost", "127.0.0.1", "[::1]"].contains(&name)
-            || host == self.address.to_string().trim_end_matches(":80");
+            || [&*own, own.trim_end_matches(":80")].contains(&host);
         let is_same = text(&ORIGIN).is_none_or(|origin| origin == format!("http://{host}"));
         let from = text(&FETCH_SITE).unwrap_or("none");
         is_here && is_same && (path == "/" || ["none", "same-origin"].contains(&from))

@@ -24,7 +24,7 @@ pub struct Overview {
     pub seconds: f64,
     /// Performers with final poses, by name.
     pub performers: BTreeMap<String, Vec<Run>>,
-    /// Events, in the order of the file.
+    /// Events, in order of capture time.
     pub events: Vec<OverviewEvent>,
     /// The performer or node whose statuses judge the cameras: of the first file that has any.
     pub node: Option<String>,

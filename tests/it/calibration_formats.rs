@@ -536,7 +536,7 @@ fn text_of_colmap_is_read() {
         let (fx, fy, cx, cy) = (k[0][0], k[1][1], k[0][2] + 0.5, k[1][2] + 0.5);
         let _ = writeln!(cameras, "{i} {model} {width} {height} {fx} {fy} {cx} {cy} {lens} {more}");
         let ([x, y, z, w], [tx, ty, tz]) = (so3::xyzw_from_rotation(&camera.r), camera.t());
-        let points = if i == 0 { "" } else { "10.5 20.5 7 30.5 40.5 -1 50.5 60.5 9 1" };
+        let points = if i == 0 { "" } else { "10.5 20.5 7 30.5 40.5 -1 50.5 60.5 1 70.5 80.5 2" };
         let _ = writeln!(
             images,
             "{i} {w} {x} {y} {z} {tx} {ty} {tz} {i} {}/image 1.png\n{points}",

@@ -938,7 +938,7 @@ fn points_in_shares_of_the_image_and_with_ids_are_read() {
         ("cam1/clip_13.txt", format!("0 0.5 0.5 0.1 0.2{points} 0.8 7\n")),
         // An id without a confidence, and a confidence.
         ("cam1/clip_14.txt", format!("0 0.5 0.5 0.1 0.2{points} 7\n0 0.5 0.5 0.1 0.2{points} 3\n")),
-        ("cam1/clip_15.txt", format!("0 0.5 0.5 0.1 0.2{points} 0.8\n")),
+        ("cam1/clip_15.txt", format!("0 0.5 0.5 0.1 0.2{points} 1\n0 0.5 0.5 0.1 0.2{points} 1\n")),
         ("cam1/classes.txt", "person".into()),
         ("cam2/clip_12.txt", String::new()),
     ] {
@@ -950,7 +950,7 @@ fn points_in_shares_of_the_image_and_with_ids_are_read() {
     assert_eq!((point.pixel.x, point.pixel.y, point.confidence), (320.0, 120.0, 0.9));
     let ids = read.iter().map(|(_, _, people)| people.iter().map(|one| one.id).collect::<Vec<_>>());
     let ids: Vec<_> = ids.filter(|ids| !ids.is_empty()).collect();
-    assert_eq!(ids, [vec![None], vec![Some(7)], vec![Some(7), Some(3)], vec![None]]);
+    assert_eq!(ids, [vec![None], vec![Some(7)], vec![Some(7), Some(3)], vec![None, None]]);
 
     let root = TempDir::new().unwrap();
     let all = |value: f64| vec![value; 17];

@@ -111,12 +111,15 @@ impl Keys {
             let turns = turns.map(|turn| so3::xyzw_from_rotation(turn).map(|number| number as f32));
             let turns = Vec::from_iter(turns);
             let numbers = turns.as_flattened().iter().chain(&position);
-            if !seconds.is_finite() || !numbers.copied().all(f32::is_finite) {
+            if !(seconds as f32).is_finite() || !numbers.copied().all(f32::is_finite) {
                 return Err(frame);
             }
             let last = keys.times.last().copied().unwrap_or(f64::NEG_INFINITY);
-            if last.is_finite() && seconds - last > (GAP_PERIODS * period).max(GAP_S) {
-                keys.hold(seconds - period);
+            let held = seconds - period;
+            let is_between = (last as f32) < held as f32 && (held as f32) < seconds as f32;
+            if last.is_finite() && seconds - last > (GAP_PERIODS * period).max(GAP_S) && is_between
+            {
+                keys.hold(held);
             }
             if seconds as f32 > last as f32 {
                 keys.add(seconds, position, &turns);

@@ -35,8 +35,8 @@ fn shared<T>(all: Vec<T>) -> Shared<T> {
 const MAX_CONTAINERS: usize = 20_000;
 /// Values of the tree, at most.
 const MAX_VALUES: usize = 200_000;
-/// Long texts and arrays count as a value for so many bytes.
-const BYTES_OF_VALUE: usize = 1000;
+/// Long texts and arrays count as a value for so many bytes of the pickle.
+const BYTES_OF_VALUE: usize = 4000;
 
 /// The pickle as a tree. Arrays are flat lists of their numbers, row by row.
 ///
@@ -279,7 +279,7 @@ fn plain(item: &Item, depth: usize, count: &mut usize) -> Result<Value, String> 
         }
         Item::Object(object) => numbers(object)
             .inspect(|all| {
-                *count += all.as_array().map_or(0, Vec::len) * size_of::<Value>() / BYTES_OF_VALUE;
+                *count += all.as_array().map_or(0, Vec::len) * 8 / BYTES_OF_VALUE;
             })
             .ok_or_else(|| {
                 let what = match &object.0 {

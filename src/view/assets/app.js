@@ -494,14 +494,20 @@ function step(direction) {
   remember();
 }
 
-let remembering;
-/** Notes the time in the address, a few times a second: browsers refuse more. */
+let [remembered, remembering] = [-Infinity, undefined];
+/** Notes the time in the address, at most a few times a second: browsers refuse more. */
 function remember() {
   if (isLive || remembering) return;
-  remembering = setTimeout(() => {
-    remembering = undefined;
-    history.replaceState(null, "", `#t=${chosen.time.toFixed(2)}`);
-  }, 250);
+  const wait = remembered + 250 - performance.now();
+  if (wait > 0) {
+    remembering = setTimeout(() => {
+      remembering = undefined;
+      remember();
+    }, wait);
+    return;
+  }
+  remembered = performance.now();
+  history.replaceState(null, "", `#t=${chosen.time.toFixed(2)}`);
 }
 
 function goToHash() {

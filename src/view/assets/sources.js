@@ -23,8 +23,8 @@ export class Live {
     this.receivers = undefined;
     /** Whether anybody else receives poses, announced or not; undefined if it is not known. */
     this.received = undefined;
-    /** When something came last. */
-    this.heard = performance.now();
+    /** When something came last, and when the page looked last. */
+    [this.heard, this.looked] = [performance.now(), performance.now()];
     setInterval(() => this.watch(), 2000);
     this.open();
   }
@@ -47,7 +47,10 @@ export class Live {
     };
   }
 
-  /** Asks the server what it is: a browser does not say why a socket was refused. Of another one, the page is another. */
+  /**
+   * Asks the server what it is: a browser does not say why a socket was refused. Once another one answers, the page is
+   * another.
+   */
   ask() {
     fetch("about.json").then(async (answer) => {
       if (answer.status === 401) {
@@ -55,14 +58,18 @@ export class Live {
       } else if (answer.ok) {
         const { about } = await answer.json();
         const isOther = (field) => about[field] !== this.about[field];
-        if (["version", "shows", "name", "node"].some(isOther)) location.reload();
+        if (this.connected && ["version", "shows", "name", "node"].some(isOther)) location.reload();
       }
     }).catch(() => {});
   }
 
   /** Opens the connection again if nothing came for long: the server says every two seconds who receives. */
   watch() {
-    if (!this.connected || performance.now() - this.heard < 15_000) return;
+    const now = performance.now();
+    // The page was asleep.
+    if (now - this.looked > 10_000) this.heard = now;
+    this.looked = now;
+    if (!this.connected || now - this.heard < 30_000) return;
     this.socket.onclose = this.socket.onmessage = null;
     this.socket.close();
     this.connected = false;

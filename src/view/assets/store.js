@@ -191,9 +191,7 @@ export class Store {
   takeStage(stage) {
     // On another computer the node's name is a guess.
     const isOpen = [this.guess, this.node].every((name) => !this.statusOf.has(name));
-    // Another node may have taken its place.
-    const isSilent = this.statusCame !== undefined && performance.now() - this.statusCame > 3000;
-    if (this.node !== undefined && stage.node && (isOpen || isSilent)) this.node = this.judged = stage.node;
+    if (this.node !== undefined && stage.node && isOpen) this.node = this.judged = stage.node;
     if (this.node === undefined || stage.node === this.node) this.stage = stage;
   }
 

@@ -28,7 +28,11 @@ pub(super) fn cameras(cameras: &str, images: &str) -> Result<Vec<Calibrated>, Fa
             continue;
         }
         all.push(image(number, line, &inside)?);
+        // An image has a name.
+        let has_name =
+            |line: &str| line.split_whitespace().any(|word| word.parse::<f64>().is_err());
         if let Some((next, points)) = images_and_points.next()
+            && has_name(points)
             && image(next, points, &inside).is_ok()
         {
             let what = "another image, where the points of the one before should be";

@@ -302,7 +302,7 @@ pub(super) fn npy(bytes: &[u8]) -> Result<Vec<(Frames, CameraReport)>, String> {
 }
 
 /// Reads YOLO's labels of a frame: class, box (4 numbers), and x, y, visibility of each point, in shares of the
-/// image; a confidence of the box may follow, then an id.
+/// image; a confidence of the box may follow, or an id, or both.
 ///
 /// # Errors
 /// A line with other numbers.
@@ -324,9 +324,10 @@ pub(super) fn yolo(
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let lines = lines.map(numbers).collect::<Result<Vec<_>, _>>()?;
     let last = |numbers: &[f64]| numbers[numbers.len() - 1];
-    // One number after the points is the confidence of the box, or with whole numbers from 1 the id.
-    let is_id = |numbers: &Vec<f64>| last(numbers) >= 1.0 && last(numbers).fract() == 0.0;
-    let are_ids = lines.iter().all(is_id);
+    // One number after the points is the confidence of the box, or an id: then the numbers are whole and above 1 but once.
+    let is_whole = |numbers: &Vec<f64>| last(numbers) >= 1.0 && last(numbers).fract() == 0.0;
+    let ones = lines.iter().filter(|numbers| last(numbers) == 1.0).count();
+    let are_ids = lines.iter().all(is_whole) && ones < 2 && ones < lines.len();
     for numbers in lines {
         let has_id = numbers.len() % 3 == 1 || numbers.len() % 3 == 0 && are_ids;
         let id = has_id.then(|| last(&numbers) as i64);
