@@ -72,7 +72,7 @@ fn with_json<'a>(config: &'a mut Config, all: &FileDescriptorSet) -> &'a mut Con
             config.field_attribute(format!("bundlemocap.v1.{field}"), with(function));
         }
     }
-    // In each message.
+    // Ids of runs, in each message that has one.
     for message in all.file.iter().flat_map(|file| &file.message_type) {
         if message.field.iter().any(|field| field.name() == "run_id") {
             let field = format!("bundlemocap.v1.{}.run_id", message.name());

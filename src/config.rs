@@ -58,7 +58,7 @@ impl TimecodeConfig {
 /// The defaults, with comments.
 pub const DEFAULT_TOML: &str = include_str!("../config/default.toml");
 
-/// Why a configuration file cannot be used.
+/// Why a configuration file cannot be used. Its text says what is wrong, with units.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]

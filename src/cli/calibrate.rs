@@ -122,7 +122,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         write_calibration(out, &found.rig, arguments.up)?;
     }
     let from = match arguments.span.is_given() {
-        true => " (its seconds count from the first frame that is used)",
+        true => " (seconds since the first frame that is used)",
         false => "",
     };
     for ChangedCamera { camera, what, at } in &found.changed {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use clap::Args;
 
 use super::Ended;
-use super::failure::{Exit, Failure, in_part};
+use super::failure::{Exit, Failure, done_or_in_part};
 use super::overwrite::{Overwrite, check_ending};
 use super::solve::decoder;
 use super::span::Times;
@@ -115,7 +115,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
     let cut_off = (cut_off > 0).then(|| format!("{cut_off} windows have no previous keyframe"));
     let wrong: Vec<String> = lost.into_iter().chain(cut_off).collect();
-    Ok(in_part(&arguments.file, &wrong))
+    Ok(done_or_in_part(&arguments.file, &wrong))
 }
 
 /// The fingerprint of the weights, as in keyframes.

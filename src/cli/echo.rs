@@ -130,7 +130,7 @@ enum Form {
     Rates { json: bool },
 }
 
-/// Prints until `count` lines, a stop request, or `print` returns false. Calls `nothing` if nothing comes for so long.
+/// Prints until `count` lines, a stop request, or `print` returns false. Calls `nothing` if no message comes within `patience`.
 fn echo(
     inbox: &Inbox,
     form: Form,

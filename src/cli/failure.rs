@@ -87,11 +87,8 @@ pub(crate) fn within(option: &str, value: f64, low: f64, high: f64) -> Result<f6
 
 /// The value of `--fps`, if it is a valid frame rate.
 pub(crate) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
-    if (1.0..=1000.0).contains(&fps) {
-        return Ok(fps);
-    }
-    let message = format!("--fps is {fps}, but must be 1 to 1000, such as 60");
-    Err(Failure::new(Exit::Usage, message))
+    let with_example = |wrong: Failure| Failure::new(wrong.exit, wrong.message + ", such as 60");
+    within("--fps", fps, 1.0, 1000.0).map_err(with_example)
 }
 
 /// The name of a value on the command line.
@@ -99,8 +96,8 @@ pub(crate) fn value_name(value: impl ValueEnum) -> String {
     value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
-/// The exit code of a file that was read, in part if something was lost; says what.
-pub(super) fn in_part(file: &Path, losses: &[String]) -> Exit {
+/// The exit code after a file was read. Warns if something was lost: then the file was read in part.
+pub(super) fn done_or_in_part(file: &Path, losses: &[String]) -> Exit {
     if losses.is_empty() {
         return Exit::Done;
     }

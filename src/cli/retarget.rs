@@ -9,7 +9,7 @@ use super::Ended;
 use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
 use super::export::{Changes, Lost, Solved, cut, path_of, read, states_of, write_states};
-use super::failure::{Exit, Failure, failures, in_part};
+use super::failure::{Exit, Failure, done_or_in_part, failures};
 use super::overwrite::{Overwrite, check_ending, is_no_input, is_same_file};
 use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
@@ -17,6 +17,7 @@ use super::span::{SpanArguments, Times};
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
 use crate::core::time::Timestamp;
+use crate::io::file_name;
 use crate::offline::Motion;
 use crate::retarget::{Convention, Map, Retarget, RetargetError, Target};
 
@@ -155,7 +156,7 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
                     --map to give all the same";
         complain("note", text);
     }
-    Ok(in_part(from, &damage))
+    Ok(done_or_in_part(from, &damage))
 }
 
 /// Writes the retargeted poses, sorted by capture time, to a file that begins at `start`.
@@ -247,7 +248,7 @@ fn files_of_performers(out: &Path) -> Vec<PathBuf> {
     let text = |part: Option<&OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
     let (start, end) = (text(out.file_stem()) + ".", text(out.extension()));
     let is_of = |path: &PathBuf| {
-        let name = text(path.file_name());
+        let name = file_name(path);
         name.strip_prefix(&start).is_some_and(|rest| match &*end {
             "" => true,
             end => rest.ends_with(&format!(".{end}")),

@@ -11,7 +11,7 @@ use indicatif::ProgressBar;
 
 use super::Ended;
 use super::clock::{ATTENTION, Stop};
-use super::failure::{Exit, Failure, frame_rate_option, in_part, json, ratio};
+use super::failure::{Exit, Failure, done_or_in_part, frame_rate_option, json, ratio};
 use super::overwrite::is_no_input;
 use super::rig::{ConventionArguments, read as read_rig};
 use super::settings::changed;
@@ -460,7 +460,7 @@ pub(super) fn locked(file: &File, until: Option<&Stop>) -> std::io::Result<bool>
 
 /// Warns of what could not be used of a recording; the exit code says whether that is nothing.
 pub(super) fn lost(recording: &Recording) -> Exit {
-    in_part(recording.path(), &recording.losses())
+    done_or_in_part(recording.path(), &recording.losses())
 }
 
 /// The files of a solve.

@@ -8,7 +8,7 @@ use crate::io::bus::BusError;
 use crate::io::formats::ImportError;
 use crate::io::wire::NameError;
 
-/// Why the node does not start, or stops.
+/// Why the node does not start, or stops. Its text says what is wrong, with units.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]

@@ -27,7 +27,7 @@ impl<T> Default for Series<T> {
 }
 
 impl<T> Series<T> {
-    /// With at most `limit` bins, and two at least.
+    /// With at most `limit` bins; a limit below 2 counts as 2.
     pub(crate) fn up_to(limit: usize) -> Self {
         Self { bins: Vec::new(), limit: limit.max(2), size: 1, last: 1 }
     }
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_series_does_not_grow() {
+    fn a_series_has_at_least_two_bins_and_does_not_grow() {
         let mut series = Series::up_to(1);
         (0..100).for_each(|i| series.push(Mean::new(i, [0.0])));
         assert!(series.bins().len() <= 2, "{}", series.bins().len());

@@ -54,7 +54,7 @@ impl Access {
         let text = |name: &HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
         let Some(host) = text(&HOST) else { return false };
         let own = self.address.to_string();
-        // The port may be forwarded. Browsers leave out the usual one.
+        // With a forwarded port, the header has another port. Browsers leave out port 80.
         let name = match host.rsplit_once(':') {
             Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
             _ => host,

@@ -14,6 +14,8 @@ use crate::io::wire::{CameraCounters, Event, Pose, Status, Topic, WindowCounters
 
 /// A capture time is wrong if its log time comes this much earlier or later than it usually does.
 const FAR: Nanos = Nanos::from_ms(10_000);
+/// A run of poses ends where none comes for so long.
+const GAP: Nanos = Nanos::SECOND;
 
 /// What a recording holds. Times are capture times, seconds since `start_ns`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -39,7 +41,7 @@ pub struct Overview {
     pub damage: Vec<String>,
 }
 
-/// Poses of one state in a row.
+/// Poses of one state in a row, without a gap.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Run {
     /// Time of the first pose.
@@ -294,7 +296,6 @@ impl Gathered {
 
 /// Continues the last run, or begins one after a gap or with another state.
 fn extend(runs: &mut Vec<[Stamp; 2]>, at: Stamp) {
-    const GAP: Nanos = Nanos::SECOND;
     match runs.last_mut() {
         Some([first, last]) if first.1 == at.1 && at.0 - last.0 < GAP => *last = at,
         _ => runs.push([at; 2]),

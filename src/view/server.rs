@@ -29,7 +29,7 @@ use crate::io::recording::RecordError;
 use crate::io::report;
 use crate::live::{USED_AGAIN, advice, is_expected};
 
-/// Why the page cannot be served.
+/// Why the page cannot be served. Its text says what is wrong, with units.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum ViewError {

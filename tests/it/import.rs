@@ -936,7 +936,7 @@ fn points_in_shares_of_the_image_and_with_ids_are_read() {
     for (file, text) in [
         ("cam1/clip_12.txt", format!("0 0.5 0.5 0.1 0.2{points}\n")),
         ("cam1/clip_13.txt", format!("0 0.5 0.5 0.1 0.2{points} 0.8 7\n")),
-        // An id without a confidence, and a confidence.
+        // Ids without confidences; then confidences.
         ("cam1/clip_14.txt", format!("0 0.5 0.5 0.1 0.2{points} 7\n0 0.5 0.5 0.1 0.2{points} 3\n")),
         ("cam1/clip_15.txt", format!("0 0.5 0.5 0.1 0.2{points} 1\n0 0.5 0.5 0.1 0.2{points} 1\n")),
         ("cam1/classes.txt", "person".into()),

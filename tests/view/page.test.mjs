@@ -519,7 +519,7 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   assert.equal(levels[0], "bad");
   await picture(page, "dead-camera");
   await isSound(page);
-  // At the beginning of the others' loop of 4 s: else its clock seems wrong.
+  // In phase with the loop of the others, 4 s: else its clock seems wrong.
   await new Promise((resolve) => setTimeout(resolve, 4000 - ((Date.now() - began) % 4000)));
   await play("cam04");
   await until(page, () => {

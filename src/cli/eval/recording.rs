@@ -12,6 +12,7 @@ use crate::cli::failure::{Exit, Failure, within};
 use crate::cli::solve::{decoder, lost};
 use crate::cli::terminal::{complain, progress};
 use crate::core::detections::KeypointFormat;
+use crate::io::file_name;
 use crate::io::formats::{MarkerMap, read_trajectories};
 use crate::io::report::{Bars, ReportData};
 use crate::offline::recording::Item;
@@ -117,7 +118,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     {
         complain("warning", &text);
     }
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let name = file_name(path);
     let report = ReportData {
         title: format!("Methods compared on {name}"),
         subtitle: format!("{cameras} cameras at {:.1} fps", take.fps),

@@ -12,7 +12,7 @@ pub(super) use self::files::{states_of, write_states};
 use self::options::Options;
 pub(super) use self::options::{Changes, Lost};
 use super::Ended;
-use super::failure::{Exit, Failure, in_part, value_name};
+use super::failure::{Exit, Failure, done_or_in_part, value_name};
 use super::overwrite::Overwrite;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
@@ -53,10 +53,10 @@ the joints have y along their bones. In .usda a `:` of a joint's name is `_`. Fr
 from the first frame of the take, or from --start of export or of solve. Without --start, frame n of
 .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of the
 poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at most ten
-minutes in all. In .glb and .usda a pose is held in gaps longer than 0.25 s; in shorter gaps, programs
-interpolate. .trc (nan) and .c3d are empty there, and where the performer is lost or coasting; .c3d
-has events there. The standard deviations of the joint centres, metres, are in take1.trc.sd.csv beside
-take1.trc; the same for .c3d.
+minutes in all. .glb and .usda hold the pose in gaps longer than 0.25 s and 1.5 periods; in shorter gaps,
+programs interpolate. .trc (nan) and .c3d are empty before the first pose, in gaps, and where the
+performer is lost or coasting; .c3d has events there. The standard deviations of the joint centres,
+metres, are in take1.trc.sd.csv beside take1.trc; the same for .c3d.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
@@ -233,7 +233,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             complain("note", &format!("{} is of another export, not of this one", path.display()));
         }
     }
-    Ok(in_part(&arguments.file, &solved.damage))
+    Ok(done_or_in_part(&arguments.file, &solved.damage))
 }
 
 /// Leaves what is exported of the performers; returns the time of the files' first frame: that of --start or of

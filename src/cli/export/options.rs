@@ -16,6 +16,15 @@ use crate::offline::compact_pose::CompactPose;
 /// Poses further apart than this are on two sides of a gap, periods.
 const GAP_PERIODS: f64 = 1.5;
 
+/// Reads a value of an enum by its name, as `named!` gives it.
+macro_rules! one_of {
+    ($Enum:ty) => {
+        // Other names are refused before.
+        PossibleValuesParser::new(<$Enum>::ALL.map(<$Enum>::name))
+            .map(|name| <$Enum>::from_name(&name).unwrap_or_default())
+    };
+}
+
 /// How poses are changed before they are written.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Options of files")]
@@ -40,18 +49,15 @@ pub(super) struct Options {
     /// The pose in which all rotations are zero: T, A with the arms 45 degrees lower, or N with hanging
     /// arms (.glb .usda .bvh .csv).
     #[arg(long, value_name = "POSE", default_value = "t", value_parser =
-        PossibleValuesParser::new(RestPose::ALL.map(RestPose::name))
-            .map(|name| RestPose::from_name(&name).unwrap_or_default()))]
+        one_of!(RestPose))]
     rest: RestPose,
     /// Names of the joints (.glb .usda .bvh .csv).
     #[arg(long, value_name = "WHOSE", default_value = "ours", value_parser =
-        PossibleValuesParser::new(JointNames::ALL.map(JointNames::name))
-            .map(|name| JointNames::from_name(&name).unwrap_or_default()))]
+        one_of!(JointNames))]
     names: JointNames,
     /// Axes of the joints in that pose: y along the bone, or those of the world (.glb .usda).
     #[arg(long, value_name = "AXES", default_value = "bone", value_parser =
-        PossibleValuesParser::new(JointAxes::ALL.map(JointAxes::name))
-            .map(|name| JointAxes::from_name(&name).unwrap_or_default()))]
+        one_of!(JointAxes))]
     axes: JointAxes,
     /// Axis that points up (.bvh .trc .c3d .csv); with z, (x, y, z) becomes (z, x, y).
     #[arg(long, value_name = "AXIS", default_value = "y", value_parser =

@@ -6,12 +6,12 @@ use std::sync::Arc;
 use crate::io::recording::RawEntry;
 use crate::io::wire::{ActorChannel, KeypointFrame, KeypointSet, StageChannel, Topic, decode};
 
-/// A message may come late by at most so many numbers. After a longer step back its program was started again.
+/// A message may come late by at most so many numbers. After a longer step back, its publisher was started again.
 const LATE: u64 = 64;
 /// The same after a longer step ahead.
 const LONGEST_GAP: u64 = 100_000;
 
-/// The numbers on one topic since its program was started.
+/// The numbers on one topic since its publisher was started.
 #[derive(Clone, Debug, PartialEq)]
 struct Run {
     first: u64,

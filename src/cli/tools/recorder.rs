@@ -22,8 +22,9 @@ use crate::io::wire::{
 const MARGIN: Nanos = Nanos::SECOND;
 /// The list of notes in the folder of takes.
 const NOTES: &str = "takes.csv";
-/// Most inputs that are kept for the next take, and most of their bytes.
+/// Most inputs that are kept for the next take.
 const MOST_RECENT: usize = 65_536;
+/// Most bytes of their payloads.
 const MOST_RECENT_BYTES: usize = 256 << 20;
 
 /// Counts of recorded messages.
@@ -157,6 +158,7 @@ pub(crate) struct Recorder {
     rig: Option<RawEntry>,
     /// The inputs of the last second.
     recent: VecDeque<RawEntry>,
+    /// Bytes of their payloads.
     recent_bytes: usize,
     silence: Silence,
     room: Room,

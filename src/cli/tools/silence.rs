@@ -20,7 +20,7 @@ const MOST_NAMES: usize = 8;
 pub(super) struct Silence {
     /// When the last message came, and whether the silence was reported.
     streams: BTreeMap<Arc<str>, (Timestamp, bool)>,
-    /// The names that performers have or had, and the node that says so.
+    /// By name of a performer, now or before, the node whose status had it.
     performers: BTreeMap<String, String>,
 }
 
@@ -42,6 +42,7 @@ impl Silence {
             let life = |one: &StagePerformer| Life::from_name(&one.life).is_some_and(Life::is_here);
             performers.iter().any(|one| one.name == name && life(one))
         };
+        // A lone performer is called like its node, and stays watched.
         let is_absent =
             |name: &str| self.performers.get(name) == Some(node) && name != node && !is_here(name);
         self.streams.retain(|topic, _| match Topic::parse(topic) {

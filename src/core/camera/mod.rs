@@ -27,18 +27,19 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 /// A focal length below this many pixels makes the intrinsic matrix singular.
 const MIN_FOCAL_PX: f64 = 1e-6;
 
-/// Why a camera or a rig cannot be used.
+/// Why a camera or a rig cannot be used. Its text says what is wrong, with units.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]
 pub enum CameraError {
+    /// Also a matrix that is not upper triangular. `fx` and `fy` are its entries (0, 0) and (1, 1), pixels.
     #[error(
         "camera {camera}: the intrinsic matrix is singular or no pinhole matrix \
          (fx {fx}, fy {fy}, determinant {determinant}); it must be [fx s cx; 0 fy cy; 0 0 1] \
          with positive fx and fy in pixels"
     )]
     SingularIntrinsics { camera: String, fx: f64, fy: f64, determinant: f64 },
-    /// `off` is the largest absolute entry of R^T R - I.
+    /// Also a reflection. `off` is the largest absolute entry of R^T R - I.
     #[error(
         "camera {camera}: the rotation is no rotation (R^T R is off the identity by {off:.3e}, \
          determinant {determinant:.6}); check that the file holds a rotation from world to camera"

@@ -17,7 +17,7 @@ pub(super) const OUTPUTS: usize = 6 * BODY_JOINTS;
 const FORMAT: &str = "bundlemocap-manifold";
 const VERSION: &str = "1";
 
-/// Why a weights file cannot be used.
+/// Why a weights file cannot be used. Its text says what is wrong, with units.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]

@@ -194,7 +194,7 @@ pub fn delivery(topic: &str) -> Delivery {
     }
 }
 
-/// Why a call on the bus failed.
+/// Why a call on the bus failed. Its text says what is wrong, with units.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]
@@ -216,7 +216,7 @@ pub enum BusError {
     #[error("cannot connect to {endpoint}: {reason}")]
     Refused { endpoint: String, reason: String },
     /// A setting that the transport refuses.
-    /// `key` is one such as `zenoh.listen`.
+    /// `key` is that of the section `[bus]`, such as `zenoh.listen`.
     #[error("[bus] {key} = {value}: {reason}")]
     Setting { key: &'static str, value: String, reason: String },
     /// `kind` is also the name of the feature.

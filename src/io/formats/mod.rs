@@ -93,7 +93,7 @@ impl ExportError {
     }
 }
 
-/// Why an import failed.
+/// Why an import failed. Its text says what is wrong, with units.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]

@@ -134,7 +134,7 @@ fn animation(
     // Only the pelvis moves in its parent.
     let others = joined(Joint::ALL[1..].iter().map(|&joint| point(&skin.in_parent(joint).1)));
     let frame = |seconds: f64| {
-        // Times are rounded; frames are whole where the poses are evenly spaced.
+        // Capture times are whole nanoseconds; frames are whole where the poses are evenly spaced.
         let frame = seconds * fps;
         if (frame - frame.round()).abs() < 0.05 { frame.round() } else { frame }
     };

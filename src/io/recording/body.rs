@@ -156,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_names_no_file_in_another_folder() {
+    fn names_with_a_path_are_refused() {
         let place = tempfile::tempdir().unwrap();
         let folder = place.path().join("bodies");
         let body = wire::Skeleton::from_core(&Skeleton::default());

@@ -101,7 +101,7 @@ impl Spans {
                     file.seek(SeekFrom::Start(offset)).map_err(&read)?;
                     chunk.resize(length, 0);
                     match file.read_exact(&mut chunk) {
-                        // The file is cut.
+                        // The file is truncated.
                         Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
                         read_all => read_all.map_err(&read)?,
                     }

@@ -1,4 +1,4 @@
-//! Checks how a performer is to be shown.
+//! Checks the name and the colour that programs show for a performer.
 
 use super::PerformerLabel;
 
@@ -6,15 +6,15 @@ use super::PerformerLabel;
 const MOST_SHOWN: usize = 60;
 
 impl PerformerLabel {
-    /// Checks the name, which has at most 60 characters and no line breaks, and the colour.
+    /// Checks the name to show (at most 60 characters, no control characters) and the colour (`#` and six hex digits).
     ///
     /// # Errors
-    /// What is wrong, and what is right.
+    /// A text for the user: what is wrong, and what is right.
     pub fn check(&self) -> Result<(), String> {
         let Self { display_name, colour, .. } = self;
         if display_name.chars().count() > MOST_SHOWN || display_name.chars().any(char::is_control) {
             return Err(format!(
-                "the name to show is too long or has line breaks; at most {MOST_SHOWN} characters"
+                "the name to show may have {MOST_SHOWN} characters, and no line breaks or other control characters"
             ));
         }
         let is_hex =

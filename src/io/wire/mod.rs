@@ -2,8 +2,8 @@
 //!
 //! The types generated from the schemas are re-exported here. Those of cameras and poses have `from_core`, which cannot
 //! fail, and `to_core`, which checks all data from outside: lengths, finite numbers, quaternions, names; `Event` and
-//! `RetargetedPose` have `validated`. Who uses counters, statuses, commands or journals checks what is used. Invalid data
-//! never cause a panic.
+//! `RetargetedPose` have `validated`. Counters, statuses, commands and journals are checked where they are
+//! used. Invalid data never cause a panic.
 
 mod check;
 mod event;
@@ -34,7 +34,7 @@ pub use topic::{
     ActorChannel, NameError, StageChannel, Topic, TopicError, Topics, is_truth, valid_name,
 };
 
-/// Why a message cannot be used.
+/// Why a message cannot be used. Its text says what is wrong, with units.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]

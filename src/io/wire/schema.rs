@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn each_message_has_a_file_of_its_bytes() {
+    fn each_message_has_a_golden_file() {
         for file in FILES {
             let path = format!("{}/tests/golden/{file}.snap", env!("CARGO_MANIFEST_DIR"));
             assert!(std::fs::exists(&path).unwrap(), "{path} is missing; see tests/it/messages.rs");

@@ -106,10 +106,10 @@ impl<'a> Topic<'a> {
     }
 }
 
-/// Kinds of topics: each with the end of its topics, the message on them, the number of last messages that late joiners
-/// get, and its method of [`Topics`]. The topics of the first kind have a name in them.
+/// Kinds of topics: how all of them begin; then each with the end of its topics, the message on them, the number of last
+/// messages that late joiners get, and its method of [`Topics`]. The topics of the first kind have a name in them.
 macro_rules! channels {
-    ($(#[$about:meta])* $Channel:ident, $of:ident {
+    ($(#[$about:meta])* $Channel:ident, $of:ident, $begin:literal {
         $(#[$named_doc:meta])* $Named:ident { $name:ident } = $first:literal, $last:literal:
             $NamedMessage:ident, $named_history:expr, $named_method:ident;
         $($(#[$doc:meta])* $Kind:ident = $path:literal: $Message:ident, $history:expr, $method:ident;)+
@@ -119,11 +119,11 @@ macro_rules! channels {
         pub enum $Channel<'a> {
             $(
                 $(#[$doc])*
-                #[doc = concat!("The topics end with `", $path, "`.")]
+                #[doc = concat!("The topics are `", $begin, $path, "`.")]
                 $Kind,
             )+
             $(#[$named_doc])*
-            #[doc = concat!("The topics end with `", $first, "{", stringify!($name), "}", $last, "`.")]
+            #[doc = concat!("The topics are `", $begin, $first, "{", stringify!($name), "}", $last, "`.")]
             $Named {
                 /// The name.
                 $name: &'a str,
@@ -167,14 +167,14 @@ macro_rules! channels {
 
         impl Topics {
             $(
-                #[doc = concat!("The topic `", $path, "` of [`", stringify!($Message), "`] messages.\n")]
+                #[doc = concat!("The topic `", $begin, $path, "` of [`", stringify!($Message), "`] messages.\n")]
                 $(#[$doc])*
                 pub fn $method(&self) -> String {
                     self.$of($Channel::$Kind)
                 }
             )+
 
-            #[doc = concat!("The topic of [`", stringify!($NamedMessage), "`] messages.\n")]
+            #[doc = concat!("The topic `", $begin, $first, "{", stringify!($name), "}", $last, "` of [`", stringify!($NamedMessage), "`] messages.\n")]
             $(#[$named_doc])*
             pub fn $named_method(&self, $name: &str) -> String {
                 self.$of($Channel::$Named { $name })
@@ -185,7 +185,7 @@ macro_rules! channels {
 
 channels! {
     /// Kinds of topics that belong to a whole capture volume.
-    StageChannel, of_stage {
+    StageChannel, of_stage, "mocap/{stage}/" {
         /// The 2D keypoints of one camera.
         Keypoints { camera } = "camera/", "/keypoints": KeypointFrame, None, keypoints;
         /// The calibration.
@@ -203,7 +203,7 @@ channels! {
 
 channels! {
     /// Kinds of topics that belong to one performer.
-    ActorChannel, of_actor {
+    ActorChannel, of_actor, "mocap/{stage}/actor/{actor}/" {
         /// Poses on another skeleton, which has this name.
         Retargeted { name } = "retargeted/", "": RetargetedPose, None, retargeted;
         /// The performer's 2D keypoints in all cameras.

@@ -183,8 +183,8 @@ impl Carried {
     }
 }
 
-/// The performers of another node, from its status: each number once, and only names that a performer of the node that is
-/// called like this actor can have.
+/// The performers in the status of another node. A number that is too large or comes twice is left out. A name that is not
+/// valid, or is that of this node's `actor`, is cleared.
 pub fn people_of(status: &StageStatus, actor: &str) -> Vec<Known> {
     let mut numbers = BTreeSet::new();
     let is_sound = |one: &&JournalPerformer| {
@@ -244,7 +244,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_sound_performers_of_another_node_are_taken_over() {
+    fn invalid_performers_of_another_node_are_left_out_and_invalid_names_cleared() {
         let of = |(number, name): (u32, &str)| JournalPerformer {
             number,
             name: name.to_owned(),

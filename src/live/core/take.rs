@@ -244,15 +244,14 @@ impl Core {
     /// Sets the name and the colour of a performer that programs show.
     fn label(&mut self, take: &Take) -> Result<String, String> {
         let Take { name, display_name, colour, .. } = take;
-        let mut label = PerformerLabel {
+        let label = PerformerLabel {
             display_name: display_name.clone(),
             colour: colour.clone(),
-            ..PerformerLabel::default()
+            locked: false,
         };
         label.check()?;
         let before = self.label_by_name(name)?;
-        label.locked = before.locked;
-        *before = label;
+        *before = PerformerLabel { locked: before.locked, ..label };
         let shown = if display_name.is_empty() { name } else { display_name };
         let colour = if colour.is_empty() { "the default colour" } else { colour };
         Ok(format!("{name} is shown as {shown:?}, {colour}"))

@@ -13,10 +13,10 @@ pub(crate) fn is_expected(kind: &str) -> bool {
         Abandoned, Acquired, Calibrated, Clock, Entered, Idle, Latency, Left, Reentered, Returned,
         RigChanged, Solver, Take, Vacated,
     };
-    let of_performers = [Acquired, Left, Entered, Reentered, Vacated];
-    let of_cameras = [Returned, Calibrated, RigChanged, Clock];
-    let of_node = [Latency, Idle, Take, Solver, Abandoned];
-    let expected = [&of_performers[..], &of_cameras, &of_node].concat();
+    let expected = [
+        Abandoned, Acquired, Calibrated, Clock, Entered, Idle, Latency, Left, Reentered, Returned,
+        RigChanged, Solver, Take, Vacated,
+    ];
     EventKind::from_name(kind).is_some_and(|kind| expected.contains(&kind))
 }
 
@@ -40,7 +40,7 @@ pub(crate) fn advice(kind: &str) -> Option<&'static str> {
             "frames come after their window; speed up the detector, or raise deadline_frames"
         }
         EventKind::Duplicate => "frames come twice; is a second publisher running?",
-        EventKind::OutOfOrder => "frames overtake each other and are used all the same",
+        EventKind::OutOfOrder => "frames come out of order; they are used",
         EventKind::Missing => "frames never come; check the cameras' network and detectors",
         EventKind::Deadline => {
             "windows close without a camera's frames; check its rate and its delay"
@@ -53,7 +53,7 @@ pub(crate) fn advice(kind: &str) -> Option<&'static str> {
         EventKind::NobodyFound => {
             "no two cameras see a person; check the volume, or the calibration"
         }
-        EventKind::Coasted => "too little of the performer is seen",
+        EventKind::Coasted => "the cameras see too little of the performer",
         EventKind::NotFollowed => {
             "the solved body is not where the cameras see the performer; run `check` on a recording"
         }

@@ -23,7 +23,7 @@ use crate::live::core::port::{Input, Output, Settings};
 use crate::live::core::take::ends;
 use compare::{At, Comparison, Recorded, compare};
 
-/// Why a recording cannot be replayed.
+/// Why a recording cannot be replayed. Its text says what is wrong, with units.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum ReplayError {

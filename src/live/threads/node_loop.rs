@@ -1,6 +1,6 @@
 //! The thread of the node loop: waits for the next input, stamps it, passes it to the core, and
-//! handles the outputs. It waits for nothing else but the bus: for a queue that is full, at most 1 ms; and when it opens the
-//! topics of a new performer.
+//! handles the outputs. Otherwise it waits only for the bus: at most 1 ms for a full queue, and while it opens the topics
+//! of a new performer.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;

@@ -76,24 +76,25 @@ impl Outlet {
             return Err(Some(text));
         }
         let topic = &publication.topic;
+        if let Some(Line::Shut { until }) = self.lines.get(topic)
+            && now < *until
+        {
+            return Err(None);
+        }
         let (schema, payload) = publication.content.encoded();
-        let line = match self.lines.get(topic) {
-            Some(Line::Shut { until }) if now < *until => return Err(None),
-            Some(line @ Line::Open { .. }) => line,
-            Some(Line::Shut { .. }) | None => {
-                let begin = Instant::now();
-                if let Err(error) = self.open(topic, schema) {
-                    // A refusal may take seconds.
-                    let took = i64::try_from(begin.elapsed().as_nanos()).unwrap_or(i64::MAX);
-                    let until = now + Nanos::new(took) + PATIENCE;
-                    self.lines.insert(Arc::clone(topic), Line::Shut { until });
-                    return Err(Some(error.to_string()));
-                }
-                let Some(line) = self.lines.get(topic) else { return Err(None) };
-                line
+        if !matches!(self.lines.get(topic), Some(Line::Open { .. })) {
+            let begin = Instant::now();
+            if let Err(error) = self.open(topic, schema) {
+                // A refusal may take seconds.
+                let took = i64::try_from(begin.elapsed().as_nanos()).unwrap_or(i64::MAX);
+                let until = now + Nanos::new(took) + PATIENCE;
+                self.lines.insert(Arc::clone(topic), Line::Shut { until });
+                return Err(Some(error.to_string()));
             }
+        }
+        let Some(Line::Open { publisher, encoding }) = self.lines.get(topic) else {
+            return Err(None);
         };
-        let Line::Open { publisher, encoding } = line else { return Err(None) };
         let put = publisher.put(publication.capture, encoding, &payload);
         put.map_err(|error| Some(error.to_string()))
     }

@@ -150,7 +150,7 @@ impl Node {
         let (jobs, answers) = Solvers::start(solvers, solver_core, &mut threads)?;
         let playout = Arc::<Playout>::default();
         let most_late = config.solver.then_some(TAKEN_OVER);
-        // Last, for this thread keeps the bus until it is closed.
+        // It starts last: it holds the bus until the playout is closed.
         let played =
             start_playout(&bus, &topics, clock, &playout, &board, most_late, &mut threads)?;
 
@@ -229,7 +229,7 @@ impl Running {
         Ok(())
     }
 
-    /// Its announcement. There may be an older node: the networks of two nodes were connected while both ran.
+    /// The node's announcement on the bus. It tells of an older node if two networks were joined while both nodes ran.
     pub fn presence(&self) -> &Presence {
         &self.presence
     }

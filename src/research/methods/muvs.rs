@@ -73,7 +73,8 @@ pub(super) struct PerFrame {
 }
 
 impl PerFrame {
-    /// The path of some frames after that many iterations from `initial`. `free`: whether codes and roots are.
+    /// The keyframes of some frames after so many iterations from `initial`. `observations` and `initial` are by frame;
+    /// `free`: whether codes and roots are solved for, in that order.
     pub(super) fn minimised<'a>(
         &'a self,
         scene: Scene<'a>,

@@ -8,6 +8,9 @@ const EVERYWHERE = "mocap/*/camera/*/keypoints";
 /** Live: for how long poses and keypoints are kept, seconds: for the curves, and for looking back. */
 const [KEPT, KEPT_POINTS] = [60, 30];
 
+/** Of the connection, ms: between two looks; the page was stopped after a longer time; the longest silence. */
+const [LOOK, STOPPED, SILENT] = [2000, 10_000, 30_000];
+
 /** A live stage. A lost connection is opened again. */
 export class Live {
   /** `about`: what the server said of itself when the page was opened. */
@@ -25,7 +28,7 @@ export class Live {
     this.received = undefined;
     /** When something came last, and when the page looked last. */
     [this.heard, this.looked] = [performance.now(), performance.now()];
-    setInterval(() => this.watch(), 2000);
+    setInterval(() => this.watch(), LOOK);
     this.open();
   }
 
@@ -48,8 +51,8 @@ export class Live {
   }
 
   /**
-   * Asks the server what it is: a browser does not say why a socket was refused. Once another one answers, the page is
-   * another.
+   * Asks the server for its description: a browser does not say why a WebSocket was refused. If another server answers, the
+   * page is loaded again.
    */
   ask() {
     fetch("about.json").then(async (answer) => {
@@ -63,13 +66,13 @@ export class Live {
     }).catch(() => {});
   }
 
-  /** Opens the connection again if nothing came for long: the server says every two seconds who receives. */
+  /** Connects again after 30 s without a message. The server sends the list of receivers every 2 s. */
   watch() {
     const now = performance.now();
-    // The page was asleep.
-    if (now - this.looked > 10_000) this.heard = now;
+    // The browser had stopped the page.
+    if (now - this.looked > STOPPED) this.heard = now;
     this.looked = now;
-    if (!this.connected || now - this.heard < 30_000) return;
+    if (!this.connected || now - this.heard < SILENT) return;
     this.socket.onclose = this.socket.onmessage = null;
     this.socket.close();
     this.connected = false;

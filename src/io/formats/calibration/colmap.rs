@@ -28,15 +28,15 @@ pub(super) fn cameras(cameras: &str, images: &str) -> Result<Vec<Calibrated>, Fa
             continue;
         }
         all.push(image(number, line, &inside)?);
-        // An image has a name.
+        // The line of an image has a file name, that of points has only numbers.
         let has_name =
             |line: &str| line.split_whitespace().any(|word| word.parse::<f64>().is_err());
         if let Some((next, points)) = images_and_points.next()
             && has_name(points)
             && image(next, points, &inside).is_ok()
         {
-            let what = "another image, where the points of the one before should be";
-            let fix = "put an empty line after each image";
+            let what = "an image is here, where the points of the image before should be";
+            let fix = "put an empty line after each image without points";
             return Err(Fault::Text(format!("images.txt line {next}: {what}; {fix}")));
         }
     }

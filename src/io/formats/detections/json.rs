@@ -184,8 +184,8 @@ fn person(person: &Value, size: [u32; 2], report: &mut CameraReport) -> Result<R
     Ok(RawPerson { id, points })
 }
 
-/// Points x, y, c, where x and y may be shares of the image.
-fn maybe_shares(
+/// Points x, y, c. x and y are pixels, or normalised: shares of the width and of the height.
+fn normalised_or_pixels(
     all: &[[f64; 3]],
     size: [u32; 2],
     report: &mut CameraReport,
@@ -218,7 +218,7 @@ fn values(
             return Err("a person's x, y and visible have different lengths".into());
         }
         let all: Vec<_> = (0..x.len()).map(|i| [x[i], y[i], c[i]]).collect();
-        return Ok(maybe_shares(&all, size, report));
+        return Ok(normalised_or_pixels(&all, size, report));
     }
     let all = points.as_array().ok_or_else(wrong)?;
     let mut point = |x: f64, y: f64, c: f64| report.detection(x, y, c);
@@ -230,7 +230,7 @@ fn values(
                 Ok::<_, String>([field("x")?, field("y")?, c])
             };
             let all = all.iter().map(of).collect::<Result<Vec<_>, _>>()?;
-            Ok(maybe_shares(&all, size, report))
+            Ok(normalised_or_pixels(&all, size, report))
         }
         Some(first) if first.is_array() => {
             let scores: Option<Vec<f64>> = scores.map(&list).transpose()?;

@@ -319,17 +319,19 @@ pub(super) fn yolo(
             line.split_whitespace().map(|word| word.parse().ok()).collect();
         let numbers = numbers.filter(|all| all.len() > 7);
         numbers
-            .ok_or_else(|| format!("line {}: not class, box and points as YOLO writes them", i + 1))
+            .ok_or_else(|| format!("line {}: not class, box and points as in YOLO's labels", i + 1))
     };
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let lines = lines.map(numbers).collect::<Result<Vec<_>, _>>()?;
     let last = |numbers: &[f64]| numbers[numbers.len() - 1];
-    // One number after the points is the confidence of the box, or an id: then the numbers are whole and above 1 but once.
-    let is_whole = |numbers: &Vec<f64>| last(numbers) >= 1.0 && last(numbers).fract() == 0.0;
+    // A single number after the points is a confidence or an id. The numbers are ids if all are whole numbers from 1, and
+    // 1 comes at most once and not alone.
+    let may_be_id = |numbers: &Vec<f64>| last(numbers) >= 1.0 && last(numbers).fract() == 0.0;
     let ones = lines.iter().filter(|numbers| last(numbers) == 1.0).count();
-    let are_ids = lines.iter().all(is_whole) && ones < 2 && ones < lines.len();
+    let are_ids = lines.iter().all(may_be_id) && ones < 2 && ones < lines.len();
     for numbers in lines {
-        let has_id = numbers.len() % 3 == 1 || numbers.len() % 3 == 0 && are_ids;
+        let more = (numbers.len() - 5) % 3;
+        let has_id = more == 2 || more == 1 && are_ids;
         let id = has_id.then(|| last(&numbers) as i64);
         let points = numbers[5..].chunks_exact(3);
         let points = points.map(|p| report.detection(p[0] * width, p[1] * height, p[2]));
