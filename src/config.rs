@@ -116,7 +116,7 @@ impl Config {
         }
     }
 
-    fn parse_partial(text: &str, path: &Path) -> Result<Self, ConfigError> {
+    pub(crate) fn parse_partial(text: &str, path: &Path) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text).map_err(|error| {
             let line = error.span().map_or(1, |span| line_at(text, span.start));
             let reason = error.message().replace('\n', " ");
@@ -311,6 +311,10 @@ mod tests {
             ("[node]\nsolver = true\n", "several performers"),
             ("[stage]\nperformers = 2\n[node]\nsolver = true\n", "latency_ms"),
             ("[stage]\nperformers = 2\nsolve = false\n[node]\nsolver = true\n", "another node"),
+            (
+                "[stage]\nperformers = 2\n[node]\nsolver = true\nlatency_ms = 300.0\nrig = \"a.toml\"\n",
+                "the calibration from the front; remove [node] rig",
+            ),
             ("[stage]\nperformers = \"auto\"\n[node]\nbody = \"a.mcap\"\n", "of one performer"),
             ("[stage]\nsolve = false\n", "needs several performers"),
             ("[stage]\nmin_height_px = 100\n", "are for several people"),

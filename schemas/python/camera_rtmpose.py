@@ -5,9 +5,10 @@
     python generate.py
     python camera_rtmpose.py --video 0 --camera cam_1                            # a webcam
     python camera_rtmpose.py --video rtsp://10.0.0.7/live --camera cam_2 --delay 120
-    python camera_rtmpose.py --video cam3.mp4 --camera cam_3 --start 1800000000  # a file, in real time
+    START=$(($(date +%s) + 20))                                                  # the same for all files of a take
+    python camera_rtmpose.py --video cam3.mp4 --camera cam_3 --start $START      # a file, in real time
 
-Run one for each camera. Give all files of a take the same --start. The node needs the calibration: set `rig` in its
+Run one for each camera. The node needs the calibration: set `rig` in its
 settings. `--stored take.mcap` publishes the keypoints of a recording instead of those of a model.
 """
 

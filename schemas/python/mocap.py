@@ -108,7 +108,12 @@ class _Announced:
 
 def subscribe_stream(session, topic, message_type, handle):
     """Calls `handle(message)` for new messages. Keep the returned subscriber."""
-    return _Announced(session, topic, session.declare_subscriber(topic, _decoding(message_type, handle)))
+    return subscribe_stream_samples(session, topic, _decoding(message_type, handle))
+
+
+def subscribe_stream_samples(session, topic, handle):
+    """Calls `handle(sample)` for new samples of any type. Keep the returned subscriber."""
+    return _Announced(session, topic, session.declare_subscriber(topic, handle))
 
 
 def subscribe_state(session, topic, message_type, handle):

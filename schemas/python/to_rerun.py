@@ -22,7 +22,7 @@ sys.path.append(str(pathlib.Path(__file__).resolve().parent / "generated"))
 
 from event_pb2 import Event
 from keypoint_frame_pb2 import KeypointFrame
-from pose_pb2 import TRACKING_STATE_TRACKING, Pose
+from pose_pb2 import TRACKING_STATE_LOST, TRACKING_STATE_TRACKING, Pose
 from rig_pb2 import Rig
 from skeleton_pb2 import Skeleton
 
@@ -36,7 +36,7 @@ class Scene:
     """Logs messages to Rerun."""
 
     def __init__(self):
-        self._parents, self._colours = {}, {}
+        self._parents, self._colours, self._offsets = {}, {}, {}
         rr.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
 
     def log(self, topic, message):
@@ -52,18 +52,20 @@ class Scene:
         if isinstance(message, Skeleton):
             self._parents[actor] = list(message.parents)
             return
-        rr.set_time("capture", timestamp=np.datetime64(message.capture_time_ns, "ns"))
+        # The calibration may correct a camera's clock.
+        offset = self._offsets.get(message.camera, 0) if isinstance(message, KeypointFrame) else 0
+        rr.set_time("capture", timestamp=np.datetime64(message.capture_time_ns + offset, "ns"))
         if isinstance(message, KeypointFrame):
             self._keypoints(message)
         elif isinstance(message, Pose):
             self._pose(actor, message)
         elif isinstance(message, Event):
             of = " ".join(name for name in (actor, message.camera) if name)
-            level = rr.TextLogLevel.INFO if message.kind in ("acquired", "calibrated") else rr.TextLogLevel.WARN
-            rr.log("events", rr.TextLog(f"{message.kind} {of} {message.detail}", level=level))
+            rr.log("events", rr.TextLog(f"{message.kind} {of} {message.detail}"))
 
     def _camera(self, camera):
         path = f"world/cameras/{camera.name}"
+        self._offsets[camera.name] = camera.time_offset_ns
         rotation = matrix(camera.camera_from_world_rotation)
         centre = -rotation.T @ np.array(camera.camera_from_world_translation_m)
         rr.log(path, rr.Transform3D(translation=centre, mat3x3=rotation.T), static=True)
@@ -86,6 +88,11 @@ class Scene:
         rr.log(path, rr.Points2D(seen[:, :2], radii=3, colors=(255, 255, 255)))
 
     def _pose(self, actor, pose):
+        path = f"world/performers/{actor}"
+        if pose.state == TRACKING_STATE_LOST:
+            # Rerun shows the last value until then.
+            rr.log(path, rr.Clear(recursive=True))
+            return
         parents = self._parents.get(actor)
         joints = np.reshape(pose.joint_positions_m, (-1, 3))
         if parents is None or len(parents) != len(joints):
@@ -93,7 +100,7 @@ class Scene:
         colour = self._colours.setdefault(actor, COLOURS[len(self._colours) % len(COLOURS)])
         colour = colour if pose.state == TRACKING_STATE_TRACKING else GREY
         bones = [joints[[parent, joint]] for joint, parent in enumerate(parents) if parent >= 0]
-        path = f"world/performers/{actor}" + ("/provisional" if pose.provisional else "")
+        path += "/provisional" if pose.provisional else ""
         rr.log(path, rr.LineStrips3D(bones, radii=0.02, colors=colour))
 
 
@@ -143,7 +150,7 @@ def follow(connect, stage):
         topics = ["rig", "actor/*/skeleton", "events", "actor/*/events"]
         states = [mocap.subscribe_samples(session, f"mocap/{stage}/{topic}", handle) for topic in topics]
         topics = ["actor/*/pose", "camera/*/keypoints"]
-        streams = [session.declare_subscriber(f"mocap/{stage}/{topic}", handle) for topic in topics]
+        streams = [mocap.subscribe_stream_samples(session, f"mocap/{stage}/{topic}", handle) for topic in topics]
         print(f"{len(states) + len(streams)} subscriptions; Ctrl-C ends")
         try:
             threading.Event().wait()

@@ -29,6 +29,7 @@ cameras, with the standard error, and a verdict:
   in sync   no significant offset (3 standard errors and 0.1 frames)
   shifted   a significant offset
   unknown   too little motion to tell (standard error above 0.25 frames)
+Above 125 Hz, a frame here is the shortest whole number of frames that lasts at least 8 ms.
 Larger offsets, other frame rates and lost frames are corrected first, as `check` names them. `solve`
 does the same and uses the significant offsets.
 

@@ -52,9 +52,10 @@ Exit codes:
    4  malformed input
    5  nobody found: no performer in two cameras
    6  partly done: windows that fit badly, a damaged recording, a replay up to lost inputs or a restart;
-      one of several takes of `solve` or `summary` is not solved, or in part; `body` left out a take;
-      `record` lost or got no messages, or the disk is full; to `take` a node or recorder did not
-      answer or refused; no poses came for `retarget --out`
+      one of several takes of `solve`, `summary` or `check` failed; `body` left out a take, `calibrate` a
+      camera that changes; `record` lost or got no messages, or the disk is full; `play` lost its
+      connection; a node or recorder did not answer `take`, or refused; no poses came for `retarget --out`
+      or `bridge vmc`; `decode` left out windows whose previous keyframe is missing
    7  no detections in the folder
    8  a camera without calibration, or the reverse
    9  unusable calibration

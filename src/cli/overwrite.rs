@@ -15,13 +15,17 @@ pub(crate) struct Overwrite {
 }
 
 impl Overwrite {
-    /// Fails if the file exists and may not be replaced.
+    /// Fails if the file exists and may not be replaced, or cannot be made there.
     pub(crate) fn check(self, path: &Path) -> Result<(), Failure> {
-        if self.overwrite || !path.exists() {
-            return Ok(());
-        }
-        let message = format!("{} exists; choose another name, or use --overwrite", path.display());
-        Err(Failure::new(Exit::Usage, message))
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let (exit, what) = match path.symlink_metadata() {
+            Ok(_) if !path.is_file() => (Exit::Usage, "is not a file; choose another name"),
+            Ok(_) if self.overwrite => return Ok(()),
+            Ok(_) => (Exit::Usage, "exists; choose another name, or use --overwrite"),
+            Err(_) if folder.is_none_or(Path::is_dir) => return Ok(()),
+            Err(_) => (Exit::Unexpected, "cannot be written; check that the folder exists"),
+        };
+        Err(Failure::new(exit, format!("{} {what}", path.display())))
     }
 
     /// As [`Overwrite::check`], for a command that reads `input`, which is never replaced.

@@ -20,7 +20,7 @@ use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Guard, Publisher, matches};
 use crate::io::recording::{Provenance, RawEntry, RecordError};
 use crate::io::wire::{
-    ENCODING, Schema, StageChannel, Take, TakeAnswer, Topic, Topics, decode, encode, media_type,
+    ENCODING, Schema, StageChannel, TakeAnswer, Topic, Topics, decode, encode, media_type,
     schema_of,
 };
 use crate::live::WallClock;
@@ -225,8 +225,8 @@ fn record(
                     continue;
                 }
                 let arrival = received.arrival;
-                let slate = slate(&received);
-                if let Some(take) = slate {
+                let sample = &received.sample;
+                if let Some(take) = recorder.command(&sample.topic, &sample.payload) {
                     answers.say(recorder.slate(&take, arrival)?);
                 }
                 answers.say(recorder.write(entry(received))?);
@@ -254,16 +254,6 @@ fn record(
     let (recorded, said) = recorder.finish()?;
     answers.say(said);
     Ok((Recorded { dropped: inbox.dropped(), ..recorded }, is_full))
-}
-
-/// The command, if the message is one.
-fn slate(received: &Received) -> Option<Take> {
-    match Topic::parse(&received.sample.topic) {
-        Ok(Topic::Stage { channel: StageChannel::Take, .. }) => {
-            decode(&received.sample.payload).ok()
-        }
-        _ => None,
-    }
 }
 
 /// Whether it is about the free space of a recorder. Those are not recorded.
@@ -316,7 +306,7 @@ mod tests {
     use super::*;
     use crate::io::bus::Memory;
     use crate::io::recording::{Message, Reader, Writer};
-    use crate::io::wire::Event;
+    use crate::io::wire::{Event, Take};
 
     fn event(count: u64) -> Event {
         Event { kind: "late".into(), count, ..Event::default() }

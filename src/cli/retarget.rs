@@ -19,6 +19,7 @@ use crate::core::body::Skeleton;
 use crate::core::time::Timestamp;
 use crate::io::file_name;
 use crate::offline::Motion;
+use crate::offline::bvh::Fill;
 use crate::retarget::{Convention, Map, Retarget, RetargetError, Target};
 
 /// Scales that differ by less keep the performers' distances.
@@ -145,7 +146,7 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
         write(retarget, one, &path, start)?;
         changes.note_lost(one).iter().for_each(|text| complain("note", text));
         if is_marked {
-            write_states(&path, one, start)?;
+            write_states(&path, one, start, Fill::new(one.fps))?;
         }
         times.beside(&path, Some(start))?;
     }

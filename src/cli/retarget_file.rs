@@ -73,13 +73,13 @@ impl TargetFile {
             Some(open) => open,
             None => {
                 let captures: Vec<Timestamp> = self.waiting.iter().map(|(at, _)| *at).collect();
-                let fps = *self.fps.get_or_insert(rate(&captures).unwrap_or(60.0));
+                let fps = *self.fps.get_or_insert(rate(&captures));
                 let writer = HierarchyWriter::create(&self.path, retarget.target().bvh(), fps)?;
                 self.open.insert((writer, Fill::new(fps).from(self.start)))
             }
         };
         for (capture, values) in self.waiting.drain(..) {
-            let gap = fill.gap_before(capture);
+            let Some(gap) = fill.gap_before(capture) else { continue };
             for _ in 0..gap {
                 writer.write(self.last.as_ref().map_or(&values, |(_, values)| values))?;
             }

@@ -3,16 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
+use nalgebra::Vector2;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::overwrite::{Overwrite, check_ending};
+use super::overwrite::{Overwrite, check_ending, is_no_input};
 use super::terminal::{complain, note, say, table};
 use crate::core::body::Joint;
 use crate::core::camera::{Camera, Rig};
 use crate::io::formats::{
-    Auto, Calibration, Convention, Poses, Unit, Up, read_calibration, write_calibration,
-    write_opencv,
+    Auto, Calibration, Convention, Poses, Unit, Up, calibration_files, read_calibration,
+    write_calibration, write_opencv,
 };
 use crate::io::recording::summary;
 use crate::io::report::{Drawn, draw_rig};
@@ -210,7 +211,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 
 fn run_convert(arguments: &Convert) -> Ended {
     let format = arguments.format.map_or_else(|| Format::of(&arguments.out), Ok)?;
-    arguments.overwrite.check_beside(&arguments.file, &arguments.out)?;
+    let inputs = calibration_files(&arguments.file)?;
+    inputs.iter().try_for_each(|input| is_no_input(input, &arguments.out))?;
+    arguments.overwrite.check(&arguments.out)?;
     let rig = of_file(&arguments.file, &arguments.convention)?;
     if matches!(format, Format::Opencv)
         && rig.cameras.iter().any(|camera| camera.time_offset.ns() != 0)
@@ -236,7 +239,10 @@ fn run_show(arguments: &Show) -> Ended {
     let rig = of_file(&arguments.file, &arguments.convention)?;
     say(&table(&rig.cameras.iter().map(row).collect::<Vec<_>>()));
     if let Some(out) = &arguments.out {
-        text(out, &draw_rig(&rig, &people(&arguments.file)))?;
+        // Poses are in the world of the recording's own calibration.
+        let is_own = arguments.convention.words().is_empty();
+        let people = if is_own { people(&arguments.file) } else { Vec::new() };
+        text(out, &draw_rig(&rig, &people))?;
         say(&format!("{}: the cameras from above and from the side", out.display()));
     }
     Ok(Exit::Done)
@@ -266,11 +272,17 @@ fn is_recording(path: &Path) -> bool {
 
 fn row(camera: &Camera) -> (String, String) {
     let centre = camera.centre_in_world();
-    let width = f64::from(camera.width);
-    let view = (0.5 * width / camera.focal.x).atan().to_degrees() * 2.0;
+    // Between the rays of the middles of the left and the right edge.
+    let [left, right] = [-0.5, f64::from(camera.width) - 0.5].map(|x| {
+        let edge = Vector2::new(x, 0.5 * f64::from(camera.height) - 0.5);
+        camera.undistort(&edge).map(|at| at.x.atan().to_degrees())
+    });
+    let view = left
+        .zip(right)
+        .map_or(String::new(), |(left, right)| format!("{:.0} degrees wide, ", right - left));
     let down = camera.rotation[(2, 1)].clamp(-1.0, 1.0).asin().to_degrees();
     let text = format!(
-        "{} x {}, {view:.0} degrees wide, at x {:.2}, y {:.2}, z {:.2} m, looks {:.0} degrees {}",
+        "{} x {}, {view}at x {:.2}, y {:.2}, z {:.2} m, looks {:.0} degrees {}",
         camera.width,
         camera.height,
         centre.x,

@@ -82,7 +82,7 @@ impl Times {
     pub(super) fn of(path: &Path, config: Option<&Config>) -> Result<Self, Failure> {
         let mut reader = Reader::open(path)?;
         let ours = reader.metadata().get(METADATA).and_then(|ours| ours.get("config"));
-        let theirs = ours.and_then(|toml| Config::parse(toml, path).ok());
+        let theirs = ours.and_then(|toml| Config::parse_partial(toml, path).ok());
         let of = |config: &Config| config.timecode.clone();
         let given = config.map(of).filter(|timecode| timecode.house().is_ok_and(|h| h.is_some()));
         let mut timecode = given.or_else(|| theirs.as_ref().map(of)).unwrap_or_default();
@@ -151,8 +151,10 @@ impl Times {
     /// `take1.trc.timecode.txt` of take1.trc.
     pub(super) fn sidecar(&self, file: &Path) -> Option<PathBuf> {
         let is_bvh = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"));
-        let stem = if is_bvh { file.with_extension("") } else { file.to_owned() };
-        self.house.map(|_| PathBuf::from(format!("{}.timecode.txt", stem.display())))
+        let mut name =
+            if is_bvh { file.with_extension("") } else { file.to_owned() }.into_os_string();
+        name.push(".timecode.txt");
+        self.house.map(|_| name.into())
     }
 
     /// Timecode and rate of a frame, or else of the first one, if there is a timecode.

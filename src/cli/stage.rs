@@ -48,7 +48,11 @@ impl StageArguments {
             config.names.clone_from(&self.names);
         }
         if let Some(bodies) = &self.bodies {
-            config.bodies = bodies.display().to_string();
+            let text = bodies.to_str().ok_or_else(|| {
+                let what = format!("--bodies {}: the name must be UTF-8", bodies.display());
+                Failure::new(Exit::Usage, what)
+            })?;
+            text.clone_into(&mut config.bodies);
         }
         if !self.only.is_empty() {
             config.only.clone_from(&self.only);

@@ -222,7 +222,11 @@ impl Shelf<'_> {
             return Err(Failure::new(Exit::Usage, format!("{} {what}", take.out.display())));
         }
         // A mistyped name gets no folder.
-        File::open(take.file).map_err(|error| unread(take.file, &error))?;
+        let opened = File::open(take.file).map_err(|error| unread(take.file, &error))?;
+        if opened.metadata().is_ok_and(|about| about.is_dir()) {
+            let what = format!("{} is a folder, not a recording", take.file.display());
+            return Err(Failure::new(Exit::Unreadable, what));
+        }
         std::fs::create_dir_all(&take.out).map_err(unwritten)?;
         let mut open = OpenOptions::new();
         let file = open.read(true).write(true).create(true).truncate(false).open(&path);
@@ -306,6 +310,15 @@ impl Shelf<'_> {
 
 fn unread(path: &Path, error: &std::io::Error) -> Failure {
     Failure::new(Exit::Unreadable, format!("{}: cannot be read ({error})", path.display()))
+}
+
+/// The take in this folder was solved alone: removes what an earlier solve among others tells of it.
+pub(super) fn forget_manifest(folder: &Path) {
+    let path = folder.join(MANIFEST);
+    let text = std::fs::read_to_string(&path).unwrap_or_default();
+    if serde_json::from_str::<Manifest>(&text).is_ok() {
+        let _ = std::fs::remove_file(path);
+    }
 }
 
 /// Length and hash of a file, which is read in parts.

@@ -159,10 +159,11 @@ impl<'a> Scene<'a> {
         let mut found: Vec<Consensus> = Vec::new();
         for proposal in &proposals {
             let members = proposal.members();
-            if found.len() == most || members.iter().filter(|member| **member).count() < 2 {
+            if found.len() == most {
                 break;
             }
-            if found.iter().all(|other| other.members != members) {
+            let are_two = members.iter().filter(|member| **member).count() > 1;
+            if are_two && found.iter().all(|other| other.members != members) {
                 let at = |at| self.assign(at, &proposals, &members);
                 let people = (0..self.instants.len()).map(at).collect();
                 found.push(Consensus { total: proposal.total(), people, members });

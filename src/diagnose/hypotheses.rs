@@ -14,7 +14,7 @@ pub struct Finding {
     pub cause: &'static str,
     /// What is wrong, for people.
     pub what: String,
-    /// What fixes it; empty if that is not known.
+    /// What fixes it.
     pub fix: String,
     /// Capture time when it begins or ends, nanoseconds; `None`: it is there in the whole recording.
     pub changes_at_ns: Option<i64>,
@@ -65,7 +65,9 @@ pub(super) fn images(reading: &Reading) -> Vec<Hypothesis> {
         all.push(Hypothesis { finding, reading, weight: 1.0 });
     };
     let [right, below] = [width - 1.0, height - 1.0];
-    let back = format!("use the image as it was calibrated, or replace x by {right} - x");
+    let back = format!(
+        "use the image as it was calibrated, or replace x by {right} - x and exchange left and right"
+    );
     let finding = Finding::new("image_mirrored", "its image is mirrored", &back);
     add(finding, [-1.0, 0.0, 0.0, 1.0], [right, 0.0], true);
     let finding = Finding::new(
@@ -118,19 +120,22 @@ pub(super) fn poses(reading: &Reading) -> Vec<Hypothesis> {
     };
     let fix = "write the pose that takes the world to the camera";
     // The world of the file may have had z up.
-    for up in [Matrix3::identity(), so3::Z_UP] {
+    let worlds = [Matrix3::identity(), so3::Z_UP];
+    for up in worlds {
         let (back, transposed) = (up * transposed, up * transposed * up);
         let finding = Finding::new("pose_inverted", "its pose takes the camera to the world", fix);
         add(finding, transposed, -(back * translation));
         let finding = Finding::new("rotation_transposed", "its rotation is transposed", fix);
         add(finding, transposed, translation);
     }
-    let finding = Finding::new(
-        "position_as_translation",
-        "its translation is the camera's position",
-        "write -R times it",
-    );
-    add(finding, rotation, -(rotation * translation));
+    for up in worlds {
+        let finding = Finding::new(
+            "position_as_translation",
+            "its translation is the camera's position",
+            "write -R times it",
+        );
+        add(finding, rotation, -(rotation * up.transpose() * translation));
+    }
     let finding = Finding::new("translation_negated", "its translation has the wrong sign", fix);
     add(finding, rotation, -translation);
     let opengl = Matrix3::from_diagonal(&[1.0, -1.0, -1.0].into());
@@ -172,8 +177,11 @@ fn intrinsics(reading: &Reading) -> Vec<Hypothesis> {
         all.push(hypothesis(finding, other, 1.0));
     }
     let own = camera.lens().coefficients()[0];
-    for k1 in [-0.4, -0.3, -0.2, -0.1, 0.0, 0.1, 0.2].into_iter().filter(|k1| *k1 != own) {
+    for k1 in [-0.4, -0.3, -0.2, -0.1, 0.0, 0.1, 0.2] {
         let lens = Lens::BrownConrady([k1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        if lens == *camera.lens() {
+            continue;
+        }
         let size = [camera.width, camera.height];
         let (rotation, translation) = (camera.rotation, camera.translation);
         let other = Camera::new(&*camera.name, size, &camera.matrix(), lens, rotation, translation);

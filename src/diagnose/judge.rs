@@ -38,11 +38,12 @@ const EXPLAINS_ALL: f64 = 1.3;
 const STARTS: usize = 3;
 /// Permutations are tried with at most so many cameras.
 const MOST_PERMUTED: usize = 16;
-/// Of two cameras, the faults that are listed: the best ones, up to this many times the least error.
+/// Of two cameras, the number of faults that are listed.
 const MOST_OPTIONS: usize = 3;
+/// They have up to this many times the least error.
+const ALIKE: f64 = 1.5;
 /// Shifts that differ by at most so many frames are one.
 const ONE_SHIFT: f64 = 3.0;
-const ALIKE: f64 = 1.5;
 /// Two frame periods are equal if their natural logarithms differ by less.
 const SAME_RATE: f64 = 0.05;
 

@@ -105,7 +105,7 @@ pub(super) fn unit(height: f64) -> Option<(f64, &'static str)> {
     nearest.filter(|(metres, _)| off(*metres) < ADULTS)
 }
 
-/// The direction from hips to shoulders.
+/// The direction from hips to shoulders: medians of unit vectors, so the more it changes the shorter.
 pub(super) fn up(frames: &[Points]) -> Option<[f64; 3]> {
     let along = |axis: usize| medians(frames, |p| Some(trunk(p)?.try_normalize(1e-9)?[axis]));
     Some([along(0)?, along(1)?, along(2)?])
@@ -114,15 +114,14 @@ pub(super) fn up(frames: &[Points]) -> Option<[f64; 3]> {
 /// The trunk points along another axis than y.
 fn upright(up: [f64; 3]) -> Option<Finding> {
     let axis = (0..3).find(|axis| up[*axis].abs() > ALONG)?;
-    let (sign, name) = (if up[axis] < 0.0 { "-" } else { "" }, ["x", "y", "z"][axis]);
-    // A calibration with y up read as one with z up has its y along x, the reverse its z along z.
-    let fix = match (axis, up[axis] > 0.0) {
-        (1, true) => return None,
-        (0, true) => "import the calibration again with --up y",
-        (2, true) => "import the calibration again with --up z",
-        _ => "turn the calibration's world, if the performer is upright",
-    };
-    let what = format!("the performer is not upright: {sign}{name} points from hips to shoulders");
+    if axis == 1 && up[axis] > 0.0 {
+        return None;
+    }
+    let along = format!("{}{}", if up[axis] < 0.0 { "-" } else { "" }, ["x", "y", "z"][axis]);
+    let fix = format!(
+        "if the performer is upright, --up {along} of check and solve mends this recording; or import it again with another --up"
+    );
+    let what = format!("the performer is not upright: {along} points from hips to shoulders");
     Some(Finding::new("up_axis", what, fix))
 }
 

@@ -313,8 +313,10 @@ impl PointTrack {
 
     /// Lengths of runs of missing frames, seconds.
     fn gaps(&self, fps: f64) -> Vec<f64> {
-        let missing: Vec<bool> = self.samples.iter().map(|(_, seen)| seen.is_none()).collect();
-        let runs = missing.chunk_by(|a, b| a == b).filter(|run| run[0]);
+        let follows = |(a, one): &(f64, Option<_>), (b, next): &(f64, Option<_>)| {
+            one.is_none() == next.is_none() && b - a < 1.5 / fps
+        };
+        let runs = self.samples.chunk_by(follows).filter(|run| run[0].1.is_none());
         runs.map(|run| run.len() as f64 / fps).collect()
     }
 }

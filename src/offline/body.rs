@@ -1,8 +1,8 @@
 //! A person's body from several takes.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::Error;
 use super::first_pass::FirstPass;
@@ -13,10 +13,16 @@ use crate::core::stage::Performers;
 use crate::core::tracker::{OTHER_SIZE, shared_body};
 use crate::metrics::{SEGMENTS, segment_lengths};
 
+/// A path need not be UTF-8.
+fn shown<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&path.display())
+}
+
 /// A take's part in the body of a person.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TakeBody {
     /// The recording.
+    #[serde(serialize_with = "shown")]
     pub recording: PathBuf,
     /// Number of windows from which the body is estimated; 0: the take is too short.
     pub windows: usize,

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::Error;
 use super::compact_pose::CompactPose;
 use crate::core::body::Skeleton;
-use crate::core::time::{Nanos, Timestamp};
+use crate::core::time::Timestamp;
 use crate::io::formats::Style;
 use crate::io::formats::bvh::BvhWriter;
 
@@ -15,12 +15,18 @@ const MOST_FILL_S: f64 = 600.0;
 /// Most frames that are filled in a file: that time at the highest frame rate.
 const MOST_FILL: f64 = 600_000.0;
 
-/// Computes how often a pose must be repeated so that each frame of a file is at its time. A gap is
-/// longer than 1.5 periods. At most ten minutes per file are filled.
+/// Poses are not moved by more than so many periods in a file.
+const MOST_OFF: f64 = 0.75;
+
+/// Computes how often a pose must be repeated, or that it must be left out, so that each frame of a file is at its time.
+/// At most ten minutes per file are filled.
 #[derive(Clone, Debug)]
 pub(crate) struct Fill {
     fps: f64,
-    before: Option<Timestamp>,
+    /// The time of the file's first frame.
+    start: Option<Timestamp>,
+    /// Number of frames before the next one, with those that are missing.
+    frames: f64,
     /// Frames that may still be filled.
     left: f64,
     /// Frames that were not filled.
@@ -31,27 +37,34 @@ impl Fill {
     /// For a file of `fps` frames per second.
     pub(crate) fn new(fps: f64) -> Self {
         let left = (MOST_FILL_S * fps).min(MOST_FILL).floor();
-        Self { fps, before: None, left, missing: 0.0 }
+        Self { fps, start: None, frames: 0.0, left, missing: 0.0 }
+    }
+
+    /// For a file whose gaps have any length.
+    #[cfg(feature = "cli")]
+    pub(crate) fn without_limit(fps: f64) -> Self {
+        Self { left: f64::INFINITY, ..Self::new(fps) }
     }
 
     /// Starts the file at `start`: the time before the first pose is a gap.
     pub(crate) fn from(mut self, start: Timestamp) -> Self {
-        let period = Nanos::rounded(1e9 / self.fps);
-        self.before = Some(start - period);
+        self.start = Some(start);
         self
     }
 
-    /// Number of missing frames before a pose. Capture times are in order.
-    pub(crate) fn gap_before(&mut self, capture: Timestamp) -> usize {
-        let wanted = self.before.map_or(0.0, |before| {
-            let periods = (capture.ns() as f64 - before.ns() as f64) * 1e-9 * self.fps;
-            if periods > 1.5 { periods.round() - 1.0 } else { 0.0 }
-        });
+    /// Number of missing frames before a pose; `None` if there is no place for the pose. Capture times are in order.
+    pub(crate) fn gap_before(&mut self, capture: Timestamp) -> Option<usize> {
+        let start = *self.start.get_or_insert(capture);
+        let off = (capture.ns() as f64 - start.ns() as f64) * 1e-9 * self.fps - self.frames;
+        if off < -MOST_OFF {
+            return None;
+        }
+        let wanted = if off > MOST_OFF { off.round() } else { 0.0 };
         let filled = wanted.min(self.left);
         self.left -= filled;
         self.missing += wanted - filled;
-        self.before = Some(capture);
-        filled as usize
+        self.frames += wanted + 1.0;
+        Some(filled as usize)
     }
 
     /// A note on the gaps in the file at `path` that were not filled, if there are any.
@@ -95,7 +108,7 @@ impl BvhFile {
 
     /// Adds a pose. Poses are in order of capture time.
     pub(crate) fn write(&mut self, pose: &CompactPose) -> Result<(), Error> {
-        let gap = self.fill.gap_before(pose.capture);
+        let Some(gap) = self.fill.gap_before(pose.capture) else { return Ok(()) };
         let held = self.last.as_ref().unwrap_or(pose).pose();
         for _ in 0..gap {
             self.writer.write(&held)?;
@@ -158,8 +171,8 @@ mod tests {
     use crate::offline::compact_pose::tests::in_state;
 
     fn gaps(mut fill: Fill, ns: impl IntoIterator<Item = i64>) -> (Vec<usize>, f64) {
-        let gaps = ns.into_iter().map(|ns| fill.gap_before(Timestamp::from_ns(ns))).collect();
-        (gaps, fill.missing)
+        let gaps = ns.into_iter().filter_map(|ns| fill.gap_before(Timestamp::from_ns(ns)));
+        (gaps.collect(), fill.missing)
     }
 
     /// At 50 Hz.
@@ -173,6 +186,9 @@ mod tests {
         assert_eq!(at_50(&[7.0]), (vec![0], 0.0));
         assert_eq!(at_50(&[0.0, 1.0, 2.4, 3.3]), (vec![0; 4], 0.0));
         assert_eq!(at_50(&[0.0, 1.0, 5.0, 6.0, 8.0]), (vec![0, 0, 3, 0, 1], 0.0));
+        // Times do not drift: twice the rate, and tracking that begins anew between two frames.
+        assert_eq!(at_50(&[0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0]), (vec![0; 4], 0.0));
+        assert_eq!(at_50(&[0.0, 1.4, 2.8, 4.2]), (vec![0, 0, 1, 0], 0.0));
         let from = |start: i64| gaps(Fill::new(50.0).from(Timestamp::from_ns(start)), [60_000_000]);
         assert_eq!((from(0), from(60_000_000)), ((vec![3], 0.0), (vec![0], 0.0)));
     }

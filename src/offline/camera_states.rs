@@ -4,7 +4,7 @@
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{Event, Verdict, WindowReport};
+use crate::core::tracker::{Event, EventKind, Verdict, WindowReport};
 use crate::diagnose::{CameraCheck, Check};
 use crate::io::wire::{CameraCounters, Status, WindowCounters};
 use crate::metrics::{CameraState, set_residuals};
@@ -75,8 +75,13 @@ impl CameraStates {
 
     /// Counts an event of a camera.
     pub(super) fn event(&mut self, event: &Event) {
-        if let Some(camera) = event.camera.and_then(|camera| self.cameras.get_mut(camera)) {
-            camera.event(event.kind, event.count);
+        let Some(index) = event.camera else { return };
+        let Some(camera) = self.cameras.get_mut(index) else { return };
+        camera.event(event.kind, event.count);
+        let is_unused =
+            [EventKind::Late, EventKind::Abandoned, EventKind::Duplicate, EventKind::Unusable];
+        if is_unused.contains(&event.kind) {
+            self.used[index] = self.used[index].saturating_sub(event.count);
         }
     }
 }

@@ -158,9 +158,10 @@ struct Corrected {
     late: Nanos,
     /// What else was wrong.
     notes: Vec<String>,
-    /// The mean error of the camera before a correction that is not confirmed.
-    error_before: Option<f64>,
-    /// Whether a correction was undone.
+    /// Of a correction that is not confirmed: the mean error of the camera before, and by how much it was late, if that
+    /// was corrected.
+    unconfirmed: Option<(f64, Option<Nanos>)>,
+    /// Whether a correction was undone: no others are tried.
     is_right: bool,
 }
 
@@ -177,7 +178,7 @@ impl FirstPass {
     ) -> Result<Self, Error> {
         let mut body = options.body.as_ref();
         let mut once = |recording: &mut Recording, body, rig: &Rig, held_out: &[Camera]| {
-            let driver = driver(options, body, recording.frames(), rig, period)?;
+            let driver = driver(options, body, recording.frames_in_span(), rig, period)?;
             let mut pass = Self::new(options, rig, period, held_out);
             pass.stream(driver, recording, rig, held_out, observer)?;
             Ok::<_, Error>(pass)
@@ -186,8 +187,12 @@ impl FirstPass {
         // Large faults of clocks first, by what the cameras saw. One may hide another.
         let mut corrected = vec![Corrected::default(); pass.cameras.len()];
         let corrections = if options.no_sync { 0 } else { CORRECTIONS };
-        for _ in 0..corrections {
-            if !pass.correct_times(recording, rig, held_out, &mut corrected) {
+        // The last round only confirms.
+        for left in (0..=corrections).rev() {
+            if left == 0 && corrected.iter().all(|one| one.unconfirmed.is_none()) {
+                break;
+            }
+            if !pass.correct_times(recording, rig, held_out, &mut corrected, left > 0) {
                 break;
             }
             pass = once(recording, body, rig, held_out)?;
@@ -339,14 +344,15 @@ impl FirstPass {
         all
     }
 
-    /// Corrects the wrong times that a check finds, and undoes corrections after which a camera fits no better. Returns
-    /// whether anything has changed.
+    /// Undoes corrections after which a camera fits no better. Corrects the wrong times that a check finds, if there are
+    /// `more` rounds. Returns whether anything has changed.
     fn correct_times(
         &self,
         recording: &mut Recording,
         rig: &mut Rig,
         held_out: &mut [Camera],
         corrected: &mut [Corrected],
+        more: bool,
     ) -> bool {
         let checks = self.checks(rig.cameras.len());
         let period = self.periods.first().copied().unwrap_or_default();
@@ -355,14 +361,25 @@ impl FirstPass {
         let cameras = rig.cameras.iter_mut().chain(held_out);
         for ((row, one), camera) in checks.iter().zip(corrected).zip(cameras) {
             let error = row.mean_error.unwrap_or(f64::INFINITY);
-            if one.error_before.take().is_some_and(|before| error > LOWERED * before) {
-                recording.forget_corrections_of(&row.camera);
-                camera.time_offset = camera.time_offset + one.late;
-                *one = Corrected { is_right: true, ..Corrected::default() };
+            if let Some((before, late)) = one.unconfirmed.take()
+                && error > LOWERED * before
+            {
+                match late {
+                    Some(by) => {
+                        one.late = one.late - by;
+                        camera.time_offset = camera.time_offset + by;
+                    }
+                    None => {
+                        recording.undo_correction(&row.camera);
+                        one.notes.pop();
+                    }
+                }
+                one.is_right = true;
                 has_changed = true;
             }
-            let Some(wrong) = row.times.filter(|_| !one.is_right) else { continue };
-            match wrong.late() {
+            let Some(wrong) = row.times.filter(|_| more && !one.is_right) else { continue };
+            let late = wrong.late();
+            match late {
                 // The performer's motion tells small ones more exactly.
                 Some(by) if by.abs() <= nearest => continue,
                 Some(by) => {
@@ -376,7 +393,7 @@ impl FirstPass {
                     one.notes.push(format!("camera {}: {what}", row.camera));
                 }
             }
-            one.error_before = Some(error);
+            one.unconfirmed = Some((error, late));
             has_changed = true;
         }
         has_changed

@@ -9,9 +9,6 @@ use crate::core::body::{Skeleton, StampedPose};
 use crate::io::recording::{Message, Reader, RecordError, Report};
 use crate::io::wire::Topic;
 
-/// Frame rate of a single pose, hertz.
-const FALLBACK_FPS: f64 = 60.0;
-
 /// The poses of a performer.
 #[derive(Clone, Debug)]
 pub struct Motion {
@@ -60,7 +57,7 @@ pub fn read_motions(file: &Path, truth: bool) -> Result<(Vec<Motion>, Report), R
     }
     let whole = |(actor, (skeleton, mut poses)): (String, (Option<_>, Vec<_>))| {
         in_order(&mut poses);
-        let fps = frame_rate(&poses).unwrap_or(FALLBACK_FPS);
+        let fps = frame_rate(&poses);
         (!poses.is_empty()).then_some(Motion { actor, skeleton: skeleton?, fps, poses })
     };
     Ok((found.into_iter().filter_map(whole).collect(), reader.report().clone()))

@@ -158,7 +158,10 @@ impl PoseFile {
             return Ok(());
         };
         match output {
-            Output::Skeleton(new) => *skeleton = Some(Arc::clone(new)),
+            Output::Skeleton(new) => {
+                *skeleton = Some(Arc::clone(new));
+                *has_skeleton = false;
+            }
             Output::Pose(pose) => {
                 let Some(skeleton) = skeleton else { return Ok(()) };
                 if !*has_rig {
@@ -263,7 +266,7 @@ pub(super) fn page(
         }],
         pictures: vec![Picture {
             title: "Poses".into(),
-            svg: strip(shown, skeleton, STICK_FIGURES),
+            svg: strip(shown, skeleton, STICK_FIGURES, start),
         }],
         player: Some(Player {
             rig: rig.clone(),
@@ -295,13 +298,20 @@ fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<Moment> {
         moment(at, MomentKind::NotFollowed, *frames as f64, what)
     });
     let all = windows.series.bins();
-    let runs: Vec<&[WindowSummary]> = all.chunk_by(|a, b| a.lost == b.lost).collect();
-    let lost = runs.iter().enumerate().filter(|(_, run)| run[0].lost).map(|(k, run)| {
+    let is_one = |a: &WindowSummary, b: &WindowSummary| match (a.lost, b.lost) {
+        (None, None) => true,
+        (Some([_, to]), Some([from, _])) => to == a.end && from == b.start,
+        _ => false,
+    };
+    let runs: Vec<&[WindowSummary]> = all.chunk_by(is_one).collect();
+    let lost = runs.iter().enumerate().filter_map(|(k, run)| {
+        let last = &run[run.len() - 1];
+        let ([from, _], [_, to]) = (run[0].lost?, last.lost?);
         // While somebody is searched there are no windows.
-        let end = runs.get(k + 1).map_or(run[run.len() - 1].end, |next| next[0].start);
-        let seconds = end.seconds_since(run[0].start);
+        let next = runs.get(k + 1).filter(|_| to == last.end);
+        let seconds = next.map_or(to, |next| next[0].start).seconds_since(from);
         let what = format!("lost or extrapolated for {seconds:.2} s");
-        moment(run[0].start, MomentKind::Lost, seconds, what)
+        Some(moment(from, MomentKind::Lost, seconds, what))
     });
     let mut costly: Vec<_> = all.iter().filter(|window| window.cost.is_finite()).collect();
     costly.sort_by(|a, b| b.cost.total_cmp(&a.cost));
@@ -348,11 +358,15 @@ fn verdicts(check: &Check) -> Table {
     }
 }
 
-/// Stick figures at `count` times, evenly spaced.
-pub(crate) fn strip(poses: &[CompactPose], skeleton: &Skeleton, count: usize) -> String {
+/// Stick figures at `count` times, evenly spaced, with the seconds since `start`.
+pub(crate) fn strip(
+    poses: &[CompactPose],
+    skeleton: &Skeleton,
+    count: usize,
+    start: Timestamp,
+) -> String {
     let (last, count) = (poses.len().saturating_sub(1), count.min(poses.len()));
     let chosen = (0..count).map(|i| &poses[i * last / (count - 1).max(1)]);
-    let start = poses.first().map_or_else(Timestamp::default, |pose| pose.capture);
     let figures: Vec<(Posture, String)> = chosen
         .map(|pose| {
             let caption = format!("{:.2} s", pose.capture.seconds_since(start));
@@ -408,7 +422,7 @@ fn row(window: &WindowSummary, start: Timestamp) -> WindowRow {
         iterations: window.iterations,
         cost: window.cost,
         solve_ms: window.solve_ms,
-        lost: window.lost,
+        lost_s: window.lost.map(|lost| lost.map(|at| at.seconds_since(start))),
     }
 }
 

@@ -147,7 +147,7 @@ impl Poses {
         comparisons: &mut Comparisons,
     ) -> Result<(), Error> {
         let head = std::mem::take(&mut self.head);
-        let fps = frame_rate(&head).unwrap_or(FALLBACK_FPS);
+        let fps = frame_rate(&head);
         let style = Style::default();
         let create = |path: &PathBuf| BvhFile::create(path, skeleton, fps, self.start, &style);
         let bvh = self.bvh_path.as_ref().map(create).transpose()?;
@@ -236,18 +236,20 @@ impl Poses {
     }
 }
 
-/// Poses per second, from the median interval; `None` for fewer than two.
-pub(crate) fn frame_rate(poses: &[CompactPose]) -> Option<f64> {
+/// Poses per second, from the median interval; 60 for fewer than two poses.
+pub(crate) fn frame_rate(poses: &[CompactPose]) -> f64 {
     rate(&poses.iter().map(|pose| pose.capture).collect::<Vec<_>>())
 }
 
 /// As [`frame_rate`], from capture times in order.
-pub(crate) fn rate(captures: &[Timestamp]) -> Option<f64> {
+pub(crate) fn rate(captures: &[Timestamp]) -> f64 {
     let periods: Vec<f64> =
         captures.windows(2).map(|pair| (pair[1] - pair[0]).ns() as f64).collect();
-    let period = median(&periods).filter(|period| *period > 0.0)?;
+    let Some(period) = median(&periods).filter(|period| *period > 0.0) else {
+        return FALLBACK_FPS;
+    };
     let rate = 1e9 / period;
     // Capture times are whole nanoseconds: 60 frames/s look like 59.9999988.
     let usual = [rate.round(), (1.001 * rate).round() / 1.001];
-    Some(usual.into_iter().find(|usual| (1e9 / usual - period).abs() < 1.0).unwrap_or(rate))
+    usual.into_iter().find(|usual| (1e9 / usual - period).abs() < 1.0).unwrap_or(rate)
 }

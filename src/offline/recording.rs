@@ -36,6 +36,8 @@ pub struct Recording {
     seen: BTreeMap<String, CameraInfo>,
     /// First and last capture time that is used, if not all are.
     span: Option<[Timestamp; 2]>,
+    /// First and last time of the recording.
+    whole: Option<[Timestamp; 2]>,
     /// What is wrong with the capture times of cameras, by name; it is corrected.
     wrong_times: BTreeMap<String, Vec<WrongTimes>>,
     /// Its first calibration, if that is used.
@@ -106,7 +108,7 @@ impl Recording {
         }
         let used = info.cameras.iter().filter(|(name, _)| rig.index_of(name).is_some());
         let format = Formats::of(used.map(|(name, one)| (&**name, &*one.format))).usual;
-        let (is_whole, seen) = (info.report.is_clean(), info.cameras);
+        let (is_whole, seen, whole) = (info.report.is_clean(), info.cameras, info.span);
         let (span, wrong_times) = (None, BTreeMap::new());
         let recording = Self {
             reader,
@@ -118,6 +120,7 @@ impl Recording {
             is_whole,
             seen,
             span,
+            whole,
             wrong_times,
             own_rig,
             has_other_rig: false,
@@ -150,6 +153,17 @@ impl Recording {
     /// Number of frames of the busiest camera.
     pub fn frames(&self) -> u64 {
         self.frames
+    }
+
+    /// About the number of them that are used.
+    pub(crate) fn frames_in_span(&self) -> u64 {
+        let (Some([first, last]), Some([begin, end])) = (self.span, self.whole) else {
+            return self.frames;
+        };
+        let part = last.min(end).seconds_since(first.max(begin)) / end.seconds_since(begin);
+        // Without an overlap, the cameras' clock is another one than the recorder's.
+        let part = if part > 0.0 { part.min(1.0) } else { 1.0 };
+        (self.frames as f64 * part).ceil() as u64
     }
 
     /// The first of the fastest cameras of `rig` whose times are not corrected: its frame numbers are those of the
@@ -300,9 +314,12 @@ impl Recording {
         rig
     }
 
-    /// Forgets the corrections of a camera's capture times.
-    pub(crate) fn forget_corrections_of(&mut self, camera: &str) {
-        self.wrong_times.remove(camera);
+    /// Undoes the last correction of a camera's capture times.
+    pub(crate) fn undo_correction(&mut self, camera: &str) {
+        if let Some(wrong) = self.wrong_times.get_mut(camera) {
+            wrong.pop();
+            self.wrong_times.retain(|_, wrong| !wrong.is_empty());
+        }
     }
 
     /// Corrects the capture times of a camera from the next pass on.

@@ -29,7 +29,7 @@ use crate::metrics::{Coverage, Episode, FootSkate, NotFollowed, PerformerScores,
 pub struct Summary {
     pub version: &'static str,
     pub recording: String,
-    /// Capture time of the recording's first frame, nanoseconds.
+    /// Capture time of the first frame that is used, nanoseconds.
     pub first_capture_time_ns: Option<i64>,
     /// Number of frames of the camera that has most.
     pub frames_recorded: usize,
@@ -87,7 +87,7 @@ pub struct DeviationPercentiles {
 #[derive(Clone, Debug, Serialize)]
 #[allow(missing_docs)]
 pub struct Group {
-    /// In the order of their first frames.
+    /// By number: known people first, then in the order of their first frames.
     pub performers: Vec<PerformerSummary>,
     /// The most people at a time who were seen for a while and not solved.
     pub others: usize,

@@ -18,7 +18,8 @@ pub(crate) struct WindowSummary {
     pub(crate) latent_norm: f64,
     pub(crate) iterations: usize,
     pub(crate) cost: f64,
-    pub(crate) lost: bool,
+    /// Begin and end of what is lost.
+    pub(crate) lost: Option<[Timestamp; 2]>,
     pub(crate) solve_ms: f64,
 }
 
@@ -28,7 +29,10 @@ impl Bin for WindowSummary {
         self.latent_norm = self.latent_norm.max(next.latent_norm);
         self.iterations = self.iterations.max(next.iterations);
         self.cost = self.cost.max(next.cost);
-        self.lost |= next.lost;
+        self.lost = match (self.lost, next.lost) {
+            (Some([from, _]), Some([_, to])) => Some([from, to]),
+            (one, other) => one.or(other),
+        };
         self.solve_ms = self.solve_ms.max(next.solve_ms);
     }
 }
@@ -104,7 +108,7 @@ impl Windows {
             latent_norm: report.latent_norm,
             iterations: report.summary.map_or(0, |summary| summary.iterations),
             cost: report.summary.map_or(f64::NAN, |summary| summary.final_cost),
-            lost,
+            lost: lost.then_some([report.start, report.end]),
             solve_ms,
         });
     }

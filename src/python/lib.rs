@@ -21,6 +21,12 @@ fn in_python(text: &str) -> String {
     let mut parts = text.split("--");
     let mut all = parts.next().unwrap_or_default().to_owned();
     for part in parts {
+        // The name of a file may have dashes.
+        if all.ends_with(|c: char| c.is_alphanumeric() || "-_".contains(c)) {
+            all += "--";
+            all += part;
+            continue;
+        }
         let rest = part.trim_start_matches(|c: char| c.is_ascii_lowercase() || c == '-');
         all += &part[..part.len() - rest.len()].replace('-', "_");
         all += rest;

@@ -36,7 +36,6 @@ pub(crate) fn deviations(pose: &StampedPose) -> impl Iterator<Item = f64> {
 #[pyclass(frozen, module = "bundlemocap")]
 pub(crate) struct Motion {
     motion: offline::Motion,
-    poses: Vec<StampedPose>,
     positions: Kept,
     rotations: Kept,
     deviations: Kept,
@@ -44,9 +43,8 @@ pub(crate) struct Motion {
 
 impl From<offline::Motion> for Motion {
     fn from(motion: offline::Motion) -> Self {
-        let poses = motion.poses().collect();
         let (positions, rotations, deviations) = Default::default();
-        Self { motion, poses, positions, rotations, deviations }
+        Self { motion, positions, rotations, deviations }
     }
 }
 
@@ -64,37 +62,37 @@ impl Motion {
 
     #[getter]
     fn times_ns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, self.poses.iter().map(|pose| pose.capture.ns()), [self.poses.len()])
+        array(py, self.motion.poses().map(|pose| pose.capture.ns()), [self.motion.poses().len()])
     }
 
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         self.positions.get(py, || {
             let skeleton = &self.motion.skeleton;
-            let all = self.poses.iter().flat_map(|pose| positions(&pose.pose, skeleton));
-            array(py, all, [self.poses.len(), JOINTS, 3])
+            let of = |pose: StampedPose| positions(&pose.pose, skeleton).collect::<Vec<_>>();
+            array(py, self.motion.poses().flat_map(of), [self.motion.poses().len(), JOINTS, 3])
         })
     }
 
     #[getter]
     fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         self.rotations.get(py, || {
-            let all = self.poses.iter().flat_map(|pose| rotations(&pose.pose));
-            array(py, all, [self.poses.len(), JOINTS, 4])
+            let of = |pose: StampedPose| rotations(&pose.pose).collect::<Vec<_>>();
+            array(py, self.motion.poses().flat_map(of), [self.motion.poses().len(), JOINTS, 4])
         })
     }
 
     #[getter]
     fn deviations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         self.deviations.get(py, || {
-            let all = self.poses.iter().flat_map(deviations);
-            array(py, all, [self.poses.len(), JOINTS])
+            let of = |pose: StampedPose| deviations(&pose).collect::<Vec<_>>();
+            array(py, self.motion.poses().flat_map(of), [self.motion.poses().len(), JOINTS])
         })
     }
 
     #[getter]
     fn states(&self) -> Vec<&'static str> {
-        self.poses.iter().map(|pose| pose.state.name()).collect()
+        self.motion.poses().map(|pose| pose.state.name()).collect()
     }
 
     #[getter]
@@ -105,12 +103,17 @@ impl Motion {
     }
 
     fn __len__(&self) -> usize {
-        self.poses.len()
+        self.motion.poses().len()
     }
 
     fn __repr__(&self) -> String {
-        let Self { motion, poses, .. } = self;
-        format!("Motion of {}: {} poses at {:.2} Hz", motion.actor, poses.len(), motion.fps)
+        let Self { motion, .. } = self;
+        format!(
+            "Motion of {}: {} poses at {:.2} Hz",
+            motion.actor,
+            motion.poses().len(),
+            motion.fps
+        )
     }
 }
 

@@ -69,8 +69,7 @@ fn axes(channels: &[Channel]) -> Axes {
     }
 }
 
-/// The nearest rotation that a joint's channels can represent; with three channels, `rotation`
-/// itself.
+/// The rotation that a joint's channels have for this one; with three channels, `rotation` itself.
 pub(super) fn reachable(channels: &[Channel], rotation: &Matrix3<f64>) -> Matrix3<f64> {
     let axes = axes(channels);
     if let Axes::Three(_) = axes {

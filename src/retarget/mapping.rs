@@ -97,7 +97,8 @@ impl Mapping {
         let (Some(place), Some(hips)) = (place, self.joint(Joint::Pelvis)) else {
             return self.joint(ours);
         };
-        let whole = chain(target, hips, self.joint(Joint::Spine3)?);
+        let top = trunk.iter().rev().find_map(|joint| self.joint(*joint))?;
+        let whole = chain(target, hips, top);
         if whole.len() > trunk.len() { self.joint(ours) } else { whole.get(place + 1).copied() }
     }
 
@@ -160,7 +161,11 @@ impl Mapping {
         }
         let Some(hips) = self.joint(Pelvis) else { return Ok(()) };
         target.upwards(hips).skip(1).for_each(|above| self.follow[above] = Follow::World);
-        let chest = self.chest(target, hips, named[Spine3.index()]);
+        let branch = self.branch(target, hips);
+        let chest = named[Spine3.index()].unwrap_or(branch);
+        for &above in &chain(target, chest, branch)[1..] {
+            self.follow[above] = Follow::Ours(Spine3, Spine3, 0.0);
+        }
         let trunk = chain(target, hips, chest);
         self.spread(target, &trunk[1..], &[Pelvis, Spine1, Spine2, Spine3], named)?;
         // In Biped the legs hang from the spine. The chest bends all the same.
@@ -170,11 +175,11 @@ impl Mapping {
         for &joint in trunk[1..].iter().filter(is_free).filter(|&&joint| carries(joint)) {
             self.follow[joint] = Follow::Ours(Pelvis, Pelvis, 0.0);
         }
-        self.share_neck(target, chest, named)?;
+        self.share_neck(target, branch, named)?;
         for (collar, shoulder) in [(LCollar, LShoulder), (RCollar, RShoulder)] {
             let none = map.joints.iter().any(|(ours, to)| *ours == collar && to.is_none());
             let Some(arm) = self.joint(shoulder).filter(|_| !none) else { continue };
-            let whole = chain(target, chest, arm);
+            let whole = chain(target, branch, arm);
             let between = &whole[1..whole.len().max(2) - 1];
             self.spread(target, between, &[Spine3, collar], named)?;
         }
@@ -184,7 +189,7 @@ impl Mapping {
     fn share_neck(
         &mut self,
         target: &Target,
-        chest: usize,
+        branch: usize,
         named: &Named,
     ) -> Result<(), RetargetError> {
         use Joint::{Head, Neck, Spine3};
@@ -193,18 +198,15 @@ impl Mapping {
             (None, Some(neck)) => ((neck, Neck), &[Spine3, Neck]),
             (None, None) => return Ok(()),
         };
-        if top.0 == chest || !target.is_below(top.0, chest) {
-            return Err(not_below(target, top, (chest, Spine3)));
+        if top.0 == branch || !target.is_below(top.0, branch) {
+            return Err(not_below(target, top, (branch, Spine3)));
         }
         self.joints[Neck.index()] = None;
-        self.spread(target, &chain(target, chest, top.0)[1..], ours, named)
+        self.spread(target, &chain(target, branch, top.0)[1..], ours, named)
     }
 
     /// The joint where both arms and the head branch off.
-    fn chest(&self, target: &Target, hips: usize, named: Option<usize>) -> usize {
-        if let Some(named) = named {
-            return named;
-        }
+    fn branch(&self, target: &Target, hips: usize) -> usize {
         let ends = [Joint::LShoulder, Joint::RShoulder, Joint::Neck, Joint::Head];
         let ends: Vec<usize> = ends.iter().filter_map(|&joint| self.joint(joint)).collect();
         let above = |at: &usize| ends.iter().all(|&end| end != *at && target.is_below(end, *at));

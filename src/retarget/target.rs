@@ -48,7 +48,7 @@ impl Target {
             .map_err(|source| RetargetError::Read { path: path.into(), source })?;
         let text = String::from_utf8(bytes).map_err(|_| BvhError::Encoding);
         let bvh = text
-            .and_then(|text: String| Bvh::parse(&text))
+            .and_then(|text: String| Bvh::parse_hierarchy(&text))
             .map_err(|source| RetargetError::Bvh { path: path.into(), source })?;
         Ok(Self::new(bvh, path, map))
     }

@@ -29,7 +29,8 @@ const GONE: Duration = Duration::from_secs(15);
 /// How often a page is told who receives what.
 const RECEIVERS: Duration = Duration::from_secs(2);
 /// Most pages at a time.
-static PAGES: Semaphore = Semaphore::const_new(32);
+const MOST_PAGES: usize = 32;
+static PAGES: Semaphore = Semaphore::const_new(MOST_PAGES);
 
 /// Opens a session on the bus.
 type Open = Box<dyn Fn() -> Result<Box<dyn Bus>, BusError> + Send + Sync>;
@@ -130,7 +131,11 @@ enum Outgoing {
 
 /// Serves a page until it goes away.
 pub(super) async fn attend(mut socket: WebSocket, live: Arc<Live>) {
-    let Ok(_permit) = PAGES.try_acquire() else { return };
+    let Ok(_permit) = PAGES.try_acquire() else {
+        let why = json!({ "error": format!("{MOST_PAGES} pages are open; close one") });
+        let _ = socket.send(Message::Text(why.to_string().into())).await;
+        return;
+    };
     let (out, mut outgoing) = queue::channel(WAITING);
     let (orders, received) = mpsc::channel();
     let dropped = Arc::new(AtomicU64::new(0));

@@ -1,13 +1,12 @@
 //! The built program: a round trip; every bad input gives one line of error and its own exit code.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 
 use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton, StampedPose, TrackingState};
 use bundlemocap::core::camera::Rig;
-use bundlemocap::core::detections::Person;
+use bundlemocap::core::detections::{Detections, Person};
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::formats::bvh::Bvh;
@@ -20,6 +19,7 @@ use nalgebra::Matrix3;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
+use crate::program::{Ended, Program};
 use crate::support::{data, pinned};
 
 const USAGE: i32 = 2;
@@ -67,8 +67,8 @@ impl Place {
         program
     }
 
-    fn start(&self, command: &str) -> Child {
-        self.command(command).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+    fn start(&self, command: &str) -> Program {
+        Program::start(&mut self.command(command))
     }
 
     /// Runs and expects success; returns the standard output.
@@ -118,21 +118,17 @@ fn calibration(names: &[&str], focal: f64) -> String {
     names.iter().enumerate().map(camera).collect()
 }
 
-/// A Qualisys calibration of two cameras; `r33` belongs to the second one's rotation.
-fn qualisys(r33: f64) -> String {
-    let camera = |serial: &str, r33: f64| {
-        format!(
-            "<camera active=\"1\" serial=\"{serial}\" viewrotation=\"0\">\
-             <fov_video left=\"0\" top=\"0\" right=\"639\" bottom=\"479\"/>\
-             <transform r11=\"1\" r12=\"0\" r13=\"0\" r21=\"0\" r22=\"1\" r23=\"0\" r31=\"0\" \
-             r32=\"0\" r33=\"{r33}\" x=\"0\" y=\"0\" z=\"0\"/>\
-             <intrinsic focalLengthU=\"64000\" focalLengthV=\"64000\" centerPointU=\"20480\" \
-             centerPointV=\"15360\" skew=\"0\" radialDistortion1=\"0\" radialDistortion2=\"0\" \
-             radialDistortion3=\"0\" tangentalDistortion1=\"0\" tangentalDistortion2=\"0\"/>\
-             </camera>"
-        )
-    };
-    format!("<c><cameras>{}{}</cameras></c>", camera("a", 1.0), camera("b", r33))
+/// A recording of those frames, one camera after the other.
+fn write_sorted(path: &Path, mut frames: Vec<Detections>) {
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    frames.sort_by_key(|frame| frame.camera);
+    let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(&rig, Timestamp::default()).unwrap();
+    for frame in &frames {
+        let camera = &rig.cameras[frame.camera];
+        writer.keypoints(frame, &camera.name, [camera.width, camera.height]).unwrap();
+    }
+    writer.finish().unwrap();
 }
 
 /// One frame of two cameras; each person has a given count of numbers.
@@ -865,20 +861,16 @@ fn a_shelf_of_takes_is_solved_once() {
     let part = place.path("takes/b/.bundlemocap-x.part");
     fs::write(&part, "left by a killed process").unwrap();
     let mut waiting = place.start("solve a.mcap b.mcap --out takes");
-    let mut told = String::new();
-    let mut errors = BufReader::new(waiting.stderr.take().unwrap());
-    errors.read_line(&mut told).unwrap();
-    assert!(told.contains("b: another process solves it; this one waits"), "{told}");
+    assert!(waiting.has_said("b: another process solves it; this one waits"));
     let output = place.run("summary takes");
     assert_eq!(output.status.code(), Some(IN_PART));
     let table = String::from_utf8(output.stdout).unwrap();
     assert!(table.contains("a    60 frames (") && table.contains("b    not solved: it"), "{table}");
     assert!(part.exists());
     drop(manifest);
-    let output = waiting.wait_with_output().unwrap();
-    let again = String::from_utf8(output.stdout).unwrap();
-    assert!(again.contains("1 solved, 1 solved before, 0 failed, of 2"), "{again}");
-    assert_eq!(output.status.code(), Some(0), "{again}");
+    let Ended { code, said, .. } = waiting.ended();
+    assert!(said.contains("1 solved, 1 solved before, 0 failed, of 2"), "{said}");
+    assert_eq!(code, Some(0), "{said}");
     assert!(!part.exists());
 
     // Other settings, and files of somebody else. The bus is no setting of a solve.
@@ -933,15 +925,12 @@ fn a_solve_that_is_stopped_leaves_no_half_files() {
     walk(&place.path("b.mcap"), 60, |_| true);
     let mut solving = place.start("solve a.mcap b.mcap --out takes");
     while !place.path("takes/a/manifest.json").exists() {
-        assert_eq!(solving.try_wait().unwrap(), None);
+        assert!(!solving.is_over());
+        std::thread::sleep(std::time::Duration::from_millis(5));
     }
     std::thread::sleep(std::time::Duration::from_millis(200));
-    let pid = solving.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-    let output = solving.wait_with_output().unwrap();
-    let (said, errors) = (String::from_utf8(output.stdout).unwrap(), output.stderr);
-    let errors = String::from_utf8(errors).unwrap();
-    assert_eq!(output.status.code(), Some(IN_PART), "{errors}");
+    let Ended { code, said, errors } = solving.interrupt();
+    assert_eq!(code, Some(IN_PART), "{errors}");
     assert!(errors.contains("a: a.mcap is not solved: it was stopped"), "{errors}");
     assert!(said.contains("0 solved, 0 solved before, 1 failed, 1 not solved yet, of 2"), "{said}");
     let left: Vec<_> = fs::read_dir(place.path("takes/a")).unwrap().collect();
@@ -962,15 +951,7 @@ fn frames_that_are_not_used_are_told() {
         frames.push(frame.clone());
         true
     });
-    frames.sort_by_key(|frame| frame.camera);
-    let (path, rig) = (place.path("sorted.mcap"), ring_rig(4, 4.0, 1.6).unwrap());
-    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
-    writer.rig(&rig, Timestamp::default()).unwrap();
-    for frame in &frames {
-        let camera = &rig.cameras[frame.camera];
-        writer.keypoints(frame, &camera.name, [camera.width, camera.height]).unwrap();
-    }
-    writer.finish().unwrap();
+    write_sorted(&place.path("sorted.mcap"), frames);
     let notes = String::from_utf8(place.run("solve sorted.mcap --out sorted").stderr).unwrap();
     assert!(notes.contains("is the recording sorted by capture time?"), "{notes}");
 }
@@ -1609,7 +1590,7 @@ fn invalid_calibrations_are_refused() {
     place.fails(MALFORMED, &import, &["calib.toml"]);
     place.write("calib.toml", calibration(&["cam1", "cam2"], 0.0));
     place.fails(BAD_CALIBRATION, &import, &["calib.toml", "cam1", "singular", "positive fx"]);
-    place.write("calib.toml", qualisys(0.5));
+    place.write("calib.toml", crate::import::qualisys(0.5));
     place.fails(BAD_CALIBRATION, &import, &["calib.toml", "camera b", "no rotation", "check"]);
     place.write("calib.toml", calibration(&["cam1"], 600.0));
     place.fails(BAD_CALIBRATION, &import, &["calib.toml", "at least two cameras"]);
@@ -1762,10 +1743,6 @@ fn a_recording_that_shows_nobody_is_refused() {
 #[test]
 fn an_unsorted_recording_reports_its_late_frames() {
     let place = Place::new();
-    let rig = ring_rig(4, 4.0, 1.6).unwrap();
-    let path = place.path("unsorted.mcap");
-    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
-    writer.rig(&rig, Timestamp::default()).unwrap();
     let mut all = Vec::new();
     walk(&place.path("walk.mcap"), 120, |detections| {
         all.push(detections.clone());
@@ -1774,12 +1751,7 @@ fn an_unsorted_recording_reports_its_late_frames() {
     // One camera after the other, the first for longer: the frames of the others arrive after their
     // windows are closed.
     all.retain(|detections| detections.camera == 0 || detections.frame < 60);
-    all.sort_by_key(|detections| detections.camera);
-    for detections in &all {
-        let camera = &rig.cameras[detections.camera];
-        writer.keypoints(detections, &camera.name, [camera.width, camera.height]).unwrap();
-    }
-    writer.finish().unwrap();
+    write_sorted(&place.path("unsorted.mcap"), all);
     let evidence = ["unsorted.mcap", "nobody was found", "frames came late", "sorted by capture"];
     place.fails(NOBODY_FOUND, "solve unsorted.mcap --out out", &evidence);
 }

@@ -1,5 +1,6 @@
 //! Comparison of methods on short takes of our own motion.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::Arc;
@@ -432,8 +433,12 @@ fn every_factor_of_an_ablation_is_in_its_help() {
     let place = tempfile::tempdir().unwrap();
     let help = eval(place.path(), "ablation all --help");
     let help = String::from_utf8(help.stdout).unwrap();
+    let (_, list) = help.split_once("some of ").unwrap();
+    let (list, _) = list.split_once('.').unwrap();
+    let words = list.split([',', ';', ':', ' ', '\n']).filter(|word| !word.is_empty());
+    let words = BTreeSet::from_iter(words);
     for factor in FACTORS {
-        assert!(help.contains(factor), "{factor}: {help}");
+        assert!(words.contains(factor), "{factor}: {list}");
     }
 }
 

@@ -122,6 +122,7 @@ fn another_parser_finds_the_same_places_in_another_style() {
         return;
     };
     let names: Vec<&str> = lines[0].split(' ').skip(2).collect();
+    assert_eq!(lines.len(), 1 + poses.len());
     for (line, pose) in lines[1..].iter().zip(&poses) {
         let values: Vec<f64> = line.split(' ').map(|value| value.parse().unwrap()).collect();
         let places = pose.posture(&skeleton).positions;
@@ -223,7 +224,7 @@ fn report() -> ReportData {
         iterations: 5 + (index as usize * 7) % 6,
         cost: 2000.0 * (2.0 + (f64::from(index) * 0.5).sin()),
         solve_ms: 7.0 + (f64::from(index) * 1.3).cos(),
-        lost: (40..43).contains(&index),
+        lost_s: (40..43).contains(&index).then(|| [0, 1].map(|end| f64::from(index + end) / 6.0)),
     });
     let times: Vec<(usize, String)> =
         [10, 22, 45, 68, 97, 135, 170, 225].map(|f| (f, format!("{:.1} s", seconds(f)))).into();

@@ -579,8 +579,8 @@ fn bad_calibrations_give_a_one_line_error() {
     assert!(matches!(missing, ImportError::Read { .. }), "{missing}");
 }
 
-#[test]
-fn an_invalid_qualisys_rotation_is_refused() {
+/// A Qualisys calibration of two cameras; `r33` belongs to the second one's rotation.
+pub fn qualisys(r33: f64) -> String {
     let camera = |serial: &str, r33: f64| {
         format!(
             "<camera active=\"1\" serial=\"{serial}\" viewrotation=\"0\">\
@@ -593,8 +593,12 @@ fn an_invalid_qualisys_rotation_is_refused() {
              </camera>"
         )
     };
-    let file = |r33| format!("<c><cameras>{}{}</cameras></c>", camera("a", 1.0), camera("b", r33));
-    let rig = calibration(&file(1.0), Up::Y).unwrap();
+    format!("<c><cameras>{}{}</cameras></c>", camera("a", 1.0), camera("b", r33))
+}
+
+#[test]
+fn an_invalid_qualisys_rotation_is_refused() {
+    let rig = calibration(&qualisys(1.0), Up::Y).unwrap();
     let a = &rig.cameras[0];
     assert_eq!((a.width, a.height), (640, 480));
     assert_eq!((a.focal, a.centre), (Vector2::new(1000.0, 1000.0), Vector2::new(310.0, 220.0)));
@@ -603,7 +607,7 @@ fn an_invalid_qualisys_rotation_is_refused() {
     assert!((a.ray(&a.centre).unwrap() + Vector3::z()).norm() < 1e-12);
     assert_eq!(*a.lens(), Lens::BrownConrady([0.1, 0.2, 0.4, 0.5, 0.3, 0.0, 0.0, 0.0]));
     for r33 in [0.5, -1.0] {
-        let error = calibration(&file(r33), Up::Y).unwrap_err();
+        let error = calibration(&qualisys(r33), Up::Y).unwrap_err();
         assert!(error.to_string().contains("camera b: the rotation is no rotation"), "{error}");
     }
 }

@@ -17,12 +17,12 @@ use bundlemocap::io::wire::journal_entry::Input as JournalInput;
 use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
-use bundlemocap::live::{
-    Core, Input, Loss, Output, Recorded, Replayed, Settings, find_nodes, replay,
-};
+use bundlemocap::live::{Core, Input, Loss, Output, Recorded, Settings, find_nodes};
 use bundlemocap::research::synth::{
     Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
 };
+
+use crate::slate::{assert_agrees, replayed};
 
 const MS: Nanos = Nanos::from_ms(1);
 const SECOND: Nanos = Nanos::SECOND;
@@ -433,13 +433,9 @@ fn replays_to_the_same_bytes(body: Option<Vec<u8>>) {
         let twin = messages[index].clone();
         messages.push(twin);
     }
-    let decoder = Decoder::embedded().unwrap();
-    let with_body = |config: &Config, body: &Option<Vec<u8>>| Settings {
-        body: body.clone(),
-        ..settings(config, &decoder)
-    };
     let config = Config::default();
-    let core = Core::new(with_body(&config, &body));
+    let settings = settings(&config, &Decoder::embedded().unwrap());
+    let core = Core::new(Settings { body: body.clone(), ..settings });
     let mut world = World { core, ..World::new(&config) };
     world.play(messages.clone(), at(3.0));
     world.end();
@@ -448,44 +444,30 @@ fn replays_to_the_same_bytes(body: Option<Vec<u8>>) {
         body == Some(encode(&wire::Skeleton { run_id: 0, ..first.clone() }))
     };
     assert_eq!(skeletons.first().is_some_and(is_given), body.is_some());
-    let mut recorded = world.heard.messages;
-    recorded.extend(messages.into_iter().map(Recorded::from));
-    let replayed = replay(&recorded, &Topics::default(), None, |start| {
-        let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
-        let solver = Solver::new(decoder.clone(), config.tracker);
-        Ok::<_, bundlemocap::live::ReplayError>((with_body(&config, &start.body), solver))
-    })
-    .unwrap();
-    assert!(replayed.is_whole);
-    assert!(replayed.topics.len() >= 7, "{:?}", replayed.topics.keys());
-    for (topic, compared) in &replayed.topics {
-        assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
-    }
+    let mut recorded = recorded(world, messages);
+    let whole = replayed(&recorded, None).unwrap();
+    assert!(whole.is_whole);
+    assert_agrees(&whole);
     // Poses, keyframes, status and journal carry the run id, in the replay as in the recording.
     let topics = Topics::default();
-    let run_id = replayed.start.run_id;
+    let run_id = whole.start.run_id;
     assert_ne!(run_id, 0);
-    let again = Heard { messages: replayed.outputs };
+    let again = Heard { messages: whole.outputs };
     assert!(again.poses().iter().all(|(_, pose)| pose.run_id == run_id));
     assert!(again.live().iter().all(|(_, pose)| pose.run_id == run_id));
     let keyframes = again.of::<wire::Keyframe>(&topics.keyframe());
     assert!(!keyframes.is_empty() && keyframes.iter().all(|(_, k)| k.run_id == run_id));
     assert_eq!(again.status().run_id, run_id);
-    assert_eq!(again.poses().len(), replayed.topics[&topics.pose()].recorded);
+    assert_eq!(again.poses().len(), whole.topics[&topics.pose()].recorded);
     // A change is detected.
     let journal = Topics::default().journal();
     recorded.retain(|message| *message.topic != *journal || message.time < at(2.5));
     let pose = recorded.iter_mut().find(|message| *message.topic == *Topics::default().pose());
     pose.unwrap().payload[100] ^= 1;
-    let replayed = replay(&recorded, &Topics::default(), None, |start| {
-        let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
-        let solver = Solver::new(decoder.clone(), config.tracker);
-        Ok::<_, bundlemocap::live::ReplayError>((with_body(&config, &start.body), solver))
-    })
-    .unwrap();
-    assert!(!replayed.is_whole);
+    let changed = replayed(&recorded, None).unwrap();
+    assert!(!changed.is_whole);
     let differing: Vec<_> =
-        replayed.topics.iter().filter(|(_, topic)| !topic.agrees()).map(|(name, _)| name).collect();
+        changed.topics.iter().filter(|(_, topic)| !topic.agrees()).map(|(name, _)| name).collect();
     assert_eq!(differing, [&Topics::default().pose()]);
 }
 
@@ -693,9 +675,7 @@ fn a_rig_file_is_not_replaced_from_the_bus() {
         let foreign = Recorded { payload: payload.to_vec(), ..recorded[first].clone() };
         recorded.insert(first + 1, foreign);
     }
-    for (topic, compared) in &replay_of(&recorded).topics {
-        assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
-    }
+    assert_agrees(&replayed(&recorded, None).unwrap());
 }
 
 #[test]
@@ -772,26 +752,13 @@ fn losses_are_inputs_of_a_replay() {
     assert_eq!((status.queue_dropped, status.cameras[1].dropped), (12, 7));
     assert_eq!((events["dropped"], events["unusable"]), (10, 2));
     let recorded = recorded(world, messages);
-    for (topic, compared) in &replay_of(&recorded).topics {
-        assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
-    }
+    assert_agrees(&replayed(&recorded, None).unwrap());
 }
 
 /// All messages of a run, as a recorder has them.
 fn recorded(world: World, sent: Vec<Sent>) -> Vec<Recorded> {
     let sent = sent.into_iter().map(Recorded::from);
     world.heard.messages.into_iter().chain(sent).collect()
-}
-
-/// The replay of a run without a given body.
-fn replay_of(recorded: &[Recorded]) -> Replayed {
-    let decoder = Decoder::embedded().unwrap();
-    let replayed = replay(recorded, &Topics::default(), None, |start| {
-        let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
-        let solver = Solver::new(decoder.clone(), config.tracker);
-        Ok::<_, bundlemocap::live::ReplayError>((settings(&config, &decoder), solver))
-    });
-    replayed.unwrap()
 }
 
 #[test]

@@ -1,9 +1,8 @@
 //! A front and its solvers as programs, over zenoh on this computer.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::net::{TcpListener, TcpStream};
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -12,44 +11,17 @@ use bundlemocap::io::recording::Reader;
 use bundlemocap::io::wire::{
     ActorChannel, HandOver, KeypointSet, Pose, Status, Topic, Topics, decode,
 };
+use crossbeam_channel::unbounded;
+
+use crate::program::{PATIENCE, Program, free_address};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
-const PATIENCE: Duration = Duration::from_secs(60);
 const PEOPLE: usize = 4;
 
-/// A program that ends with the test.
-struct Running(Child);
-
-impl Running {
-    fn start(folder: &Path, line: &str) -> Self {
-        let mut command = Command::new(PROGRAM);
-        command.args(line.split_whitespace()).current_dir(folder);
-        Self(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
-    }
-
-    fn ends(&mut self) -> ExitStatus {
-        let begin = Instant::now();
-        loop {
-            if let Some(status) = self.0.try_wait().unwrap() {
-                return status;
-            }
-            assert!(begin.elapsed() < PATIENCE, "it does not end");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    }
-
-    fn interrupt(mut self) {
-        let pid = self.0.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-        self.ends();
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// Starts the program with these arguments.
+fn start_in(folder: &Path, line: &str) -> Program {
+    let mut command = Command::new(PROGRAM);
+    Program::start(command.args(line.split_whitespace()).current_dir(folder))
 }
 
 /// A file of `config/` with another address and name of the node.
@@ -85,34 +57,48 @@ fn messages(path: &Path, kind: ActorChannel) -> Vec<(String, Vec<u8>)> {
 fn performers_move_between_programs() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let address = format!("tcp/127.0.0.1:{port}");
+    let address = free_address();
     config(folder, "front", &address, "front");
     ["a", "b", "d"].iter().for_each(|name| config(folder, "solver", &address, name));
-    let start = |line: &str| Running::start(folder, line);
-    start(&crowd(14)).ends();
-    // It waits for its front.
-    let mut a = start("run a.toml");
-    std::thread::sleep(Duration::from_secs(3));
-    let front = start("run front.toml");
-    let begin = Instant::now();
-    while TcpStream::connect(("127.0.0.1", port)).is_err() {
-        assert!(begin.elapsed() < PATIENCE, "the front does not listen");
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    let b = start("run b.toml");
-    let recorder = start(&format!("record take.mcap --connect {address}"));
-    std::thread::sleep(Duration::from_secs(1));
-    let mut play = start(&format!("play crowd.mcap --connect {address}"));
-    std::thread::sleep(Duration::from_secs(4));
-    let d = start("run d.toml");
-    std::thread::sleep(Duration::from_secs(3));
-    a.0.kill().unwrap();
-    std::thread::sleep(Duration::from_secs(2));
+    let start = |line: &str, said: &str| {
+        let mut program = start_in(folder, line);
+        assert!(program.has_said(said));
+        program
+    };
+    start_in(folder, &crowd(120)).ended();
+    let mut a = start("run a.toml", "waiting: ");
+    let front = start("run front.toml", "listening: ");
+    assert!(a.has_said("listening: "));
+    let b = start("run b.toml", "listening: ");
+    let recorder = start(&format!("record take.mcap --connect {address}"), "recording ");
+    let tool = ZenohConfig { listen: vec![address.clone()], ..ZenohConfig::default() };
+    let tool = Zenoh::open_client(&tool).unwrap();
+    let (sender, handed) = unbounded();
+    let sink = move |sample: Sample| {
+        let message: HandOver = decode(&sample.payload).unwrap();
+        drop(sender.send((message.performer, message.solver)))
+    };
+    let _listening = tool.subscribe("mocap/stage/actor/*/hand_over", Box::new(sink)).unwrap();
+    // Everybody is solved by one of these solvers, and each of them solves somebody.
+    let share = |names: &[&str]| {
+        let (deadline, mut last) = (Instant::now() + PATIENCE, BTreeMap::new());
+        let of_all = BTreeSet::from_iter(names.iter().map(|name| name.to_string()));
+        while last.len() < PEOPLE || BTreeSet::from_iter(last.values().cloned()) != of_all {
+            let (performer, solver) = handed.recv_deadline(deadline).expect("hand-overs of all");
+            last.insert(performer, solver);
+        }
+    };
+    let play = start_in(folder, &format!("play crowd.mcap --connect {address}"));
+    share(&["a", "b"]);
+    let d = start("run d.toml", "listening: ");
+    share(&["a", "b", "d"]);
+    drop(a);
+    share(&["b", "d"]);
     b.interrupt();
-    play.ends();
-    std::thread::sleep(Duration::from_secs(1));
-    [d, front, recorder].into_iter().for_each(Running::interrupt);
+    share(&["d"]);
+    for program in [play, d, front, recorder] {
+        program.interrupt();
+    }
 
     let take = folder.join("take.mcap");
     let mut poses: BTreeMap<String, BTreeSet<i64>> = BTreeMap::new();
@@ -127,12 +113,6 @@ fn performers_move_between_programs() {
     let last = poses.values().map(|times| *times.last().unwrap());
     let (first, last) = (last.clone().min().unwrap(), last.max().unwrap());
     assert!(last - first < 200_000_000, "all are solved to the end");
-    let solvers: Vec<String> = messages(&take, ActorChannel::HandOver)
-        .iter()
-        .map(|(_, payload)| decode::<HandOver>(payload).unwrap().solver)
-        .collect();
-    assert_eq!(BTreeSet::from_iter(&solvers).len(), 3);
-    assert!(solvers[solvers.len() - 8..].iter().all(|name| name == "d"), "{solvers:?}");
 
     let mut replay = Command::new(PROGRAM);
     let replayed = replay.args(["replay", "take.mcap", "--verify"]).current_dir(folder).output();
@@ -159,14 +139,19 @@ fn a_standby_of_the_front_knows_the_people() {
     let front = folder.join("front.toml");
     let text = std::fs::read_to_string(&front).unwrap();
     std::fs::write(&front, text.replace("listen", "mode = \"client\"\nconnect")).unwrap();
-    let start = |line: &str| Running::start(folder, line);
-    start(&crowd(12)).ends();
-    let (mut first, solver) = (start("run front.toml"), start("run a.toml"));
-    let recorder = start(&format!("record take.mcap --connect {address}"));
-    std::thread::sleep(Duration::from_secs(1));
-    let second = start("run front.toml --standby");
-    let begun = start(&format!("take start walk --connect {address}")).ends();
-    assert!(begun.success(), "{begun}");
+    let start = |line: &str| start_in(folder, line);
+    start(&crowd(12)).ended();
+    let (mut first, mut solver) = (start("run front.toml"), start("run a.toml"));
+    let mut recorder = start(&format!("record take.mcap --connect {address}"));
+    assert!(first.has_said("listening: ") && solver.has_said("listening: "));
+    assert!(recorder.has_said("recording "));
+    let mut second = start("run front.toml --standby");
+    assert!(second.has_said("standing by for "));
+    let done = |line: &str| {
+        let ended = start(&format!("{line} --connect {address}")).ended();
+        assert_eq!(ended.code, Some(0), "{}", ended.errors);
+    };
+    done("take start walk");
     let takes = Arc::<Mutex<Vec<(u64, String)>>>::default();
     let told = Arc::clone(&takes);
     let sink = move |sample: Sample| {
@@ -175,10 +160,10 @@ fn a_standby_of_the_front_knows_the_people() {
     };
     let topic = Topics::new("stage", "front").unwrap().status();
     let _listening = router.subscribe(&topic, Box::new(sink)).unwrap();
-    let mut play = start(&format!("play crowd.mcap --connect {address}"));
+    let play = start(&format!("play crowd.mcap --connect {address}"));
     std::thread::sleep(Duration::from_secs(7));
-    first.0.kill().unwrap();
-    play.ends();
+    drop(first);
+    play.ended();
     // The one that stood by sees that a take is recorded.
     let takes_part = || {
         let takes = takes.lock().unwrap();
@@ -190,10 +175,10 @@ fn a_standby_of_the_front_knows_the_people() {
         assert!(begin.elapsed() < PATIENCE, "{:?}", takes.lock().unwrap());
         std::thread::sleep(Duration::from_millis(50));
     }
-    let stopped = start(&format!("take stop --connect {address}")).ends();
-    assert!(stopped.success(), "{stopped}");
-    std::thread::sleep(Duration::from_secs(1));
-    [second, solver, recorder].into_iter().for_each(Running::interrupt);
+    done("take stop");
+    for program in [second, solver, recorder] {
+        program.interrupt();
+    }
 
     let mut poses: BTreeMap<String, BTreeSet<i64>> = BTreeMap::new();
     let take = folder.join("take.mcap");

@@ -45,7 +45,7 @@ mod messages;
 mod methods;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod node;
-#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
+#[cfg(feature = "cli")]
 mod program;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod python;
@@ -56,8 +56,6 @@ mod retarget;
 mod several;
 #[cfg(feature = "cli")]
 mod sharing;
-#[cfg(feature = "research")]
-mod slahmr;
 #[cfg(feature = "cli")]
 mod slate;
 mod solve;

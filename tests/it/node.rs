@@ -4,7 +4,6 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::Command;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -16,7 +15,7 @@ use bundlemocap::core::stage;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{self, Solver};
 use bundlemocap::io::bus::{Bus, Guard, Memory, Publisher};
-use bundlemocap::io::formats::{Auto, Up};
+use bundlemocap::io::formats::{Up, write_calibration};
 use bundlemocap::io::wire::journal_entry::Input as JournalInput;
 use bundlemocap::io::wire::{
     self, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, Status, Topics,
@@ -26,7 +25,6 @@ use bundlemocap::live::{
     Carried, Config, Core, Node, NodeError, Presence, Running, Settings, WallClock,
 };
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
-use nalgebra::Rotation3;
 
 const FPS: f64 = 60.0;
 /// Timeout of things that take a short time; only a failing test waits that long.
@@ -353,14 +351,15 @@ fn a_flood_harms_only_the_camera_whose_name_it_uses() {
     studio.play_until("a pose", |heard| !heard.poses.is_empty());
     let (bus, topics) = (studio.bus.clone(), studio.topics.clone());
     let (old, large) = (encode(&studio.message(0)), vec![0; 2 << 20]);
-    let (going, over) = (Arc::new(AtomicBool::new(true)), studio.poses() + 60);
-    let is_going = Arc::clone(&going);
+    // The flood ends with it.
+    let going = Arc::new(());
+    let (is_going, over) = (Arc::downgrade(&going), studio.poses() + 60);
     let flood = std::thread::spawn(move || {
         let put = |name: &str, payload: &[u8]| {
             let publisher = bus.publisher(&topics.keypoints(name)).unwrap();
             publisher.put(Timestamp::default(), "", payload).unwrap();
         };
-        for round in (0_u64..).take_while(|_| is_going.load(Ordering::Relaxed)) {
+        for round in (0_u64..).take_while(|_| is_going.strong_count() > 0) {
             (0..100).for_each(|_| put("cam01", &old));
             (0..100).for_each(|name| put(&format!("made-up-{round}-{name}"), &old));
             put("cam01", &large);
@@ -379,7 +378,7 @@ fn a_flood_harms_only_the_camera_whose_name_it_uses() {
     });
     // It ends although the flood goes on.
     let status = node.stop().unwrap().expect("a last status");
-    going.store(false, Ordering::Relaxed);
+    drop(going);
     flood.join().unwrap();
     let dropped: Vec<u64> = status.cameras.iter().map(|camera| camera.dropped).collect();
     // On a busy computer the others lose a few.
@@ -465,35 +464,18 @@ fn errors_at_the_start_of_a_node_name_their_cause() {
     assert!(message.contains("a/*"), "{message}");
 }
 
-/// A calibration file of those cameras, one of them moved along its axis, metres. Its world frame
-/// is ours.
-fn calibration(rig: &Rig, forward: f64) -> String {
-    let table = |(index, camera): (usize, &bundlemocap::core::camera::Camera)| {
-        let row =
-            |numbers: [f64; 3]| format!("[{:?}, {:?}, {:?}]", numbers[0], numbers[1], numbers[2]);
-        let matrix = camera.matrix();
-        let rows: Vec<String> = (0..3).map(|i| row([0, 1, 2].map(|j| matrix[(i, j)]))).collect();
-        let turn = Rotation3::from_matrix_unchecked(camera.rotation).scaled_axis();
-        let moved = camera.translation.z + if index == 0 { forward } else { 0.0 };
-        format!(
-            "[{name}]\nname = \"{name}\"\nsize = [{}.0, {}.0]\nmatrix = [{}]\n\
-             distortions = [0.0, 0.0, 0.0, 0.0]\nrotation = {}\ntranslation = {}\n\n",
-            camera.width,
-            camera.height,
-            rows.join(", "),
-            row(turn.into()),
-            row([camera.translation.x, camera.translation.y, moved]),
-            name = camera.name,
-        )
-    };
-    rig.cameras.iter().enumerate().map(table).collect()
+/// Replaces a file by another one and a rename, as tools do.
+fn replace(path: &Path, write: impl FnOnce(&Path)) {
+    let beside = path.with_extension("new");
+    write(&beside);
+    std::fs::rename(beside, path).unwrap();
 }
 
-/// Replaces a file by a temporary file and a rename, as tools do.
-fn replace(path: &Path, text: &str) {
-    let beside = path.with_extension("new");
-    std::fs::write(&beside, text).unwrap();
-    std::fs::rename(beside, path).unwrap();
+/// Replaces a calibration file by that of the cameras, one of them moved along its axis, metres.
+fn calibrate(path: &Path, forward: f64) {
+    let mut rig = cameras();
+    rig.cameras[0].translation.z += forward;
+    replace(path, |beside| write_calibration(beside, &rig, Up::Y).unwrap());
 }
 
 /// Log lines of this process from the first call on.
@@ -519,10 +501,10 @@ fn a_changed_calibration_file_is_used_from_the_next_window_on() {
     let log = log_lines();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("studio_rig.toml");
-    replace(&path, &calibration(&cameras(), 0.0));
+    calibrate(&path, 0.0);
     let mut studio = Studio::without_rig();
     let rig = path.display().to_string();
-    let config = Config { rig: rig.clone(), rig_up: Auto(Some(Up::Y)), ..Config::default() };
+    let config = Config { rig: rig.clone(), ..Config::default() };
     let node = start_node(&studio.bus, &config).unwrap();
     studio.play_until("poses", |heard| heard.poses.len() > 10);
     let in_use = |studio: &Studio| -> u64 {
@@ -533,7 +515,7 @@ fn a_changed_calibration_file_is_used_from_the_next_window_on() {
     let first = studio.heard.lock().unwrap().poses[0].rig_version;
     assert_eq!(in_use(&studio), first);
 
-    replace(&path, "no calibration");
+    replace(&path, |beside| std::fs::write(beside, "no calibration").unwrap());
     let is_logged = || {
         let text = String::from_utf8(log.lock().unwrap().clone()).unwrap();
         let mut lines = text.lines();
@@ -544,7 +526,7 @@ fn a_changed_calibration_file_is_used_from_the_next_window_on() {
     studio.play_until("poses after it", |heard| heard.poses.len() > malformed_until + 30);
     assert_eq!(in_use(&studio), first);
 
-    replace(&path, &calibration(&cameras(), 0.001));
+    calibrate(&path, 0.001);
     studio.play_until("poses of the new calibration", |heard| {
         heard.poses.last().is_some_and(|pose| pose.rig_version != first)
     });
@@ -570,7 +552,7 @@ fn a_changed_calibration_file_is_used_from_the_next_window_on() {
 fn the_calibration_of_the_nodes_file_stays_the_last_one_on_the_bus() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("rig.toml");
-    replace(&path, &calibration(&cameras(), 0.0));
+    calibrate(&path, 0.0);
     let studio = Studio::without_rig();
     let rigs = Arc::new(Mutex::new(Vec::new()));
     let heard = Arc::clone(&rigs);
@@ -578,7 +560,7 @@ fn the_calibration_of_the_nodes_file_stays_the_last_one_on_the_bus() {
         move |sample: bundlemocap::io::bus::Sample| heard.lock().unwrap().push(sample.payload);
     let _guard = studio.bus.subscribe(&studio.topics.rig(), Box::new(sink)).unwrap();
     let rig = path.display().to_string();
-    let config = Config { rig, rig_up: Auto(Some(Up::Y)), ..Config::default() };
+    let config = Config { rig, ..Config::default() };
     let node = start_node(&studio.bus, &config).unwrap();
     let count = |least: usize| {
         let begin = Instant::now();

@@ -3,9 +3,10 @@
 use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, unbounded};
 
 /// Timeout of things that take a short time; only a failing test waits that long.
 pub const PATIENCE: Duration = Duration::from_secs(120);
@@ -38,7 +39,7 @@ impl Program {
             output.read_to_string(&mut said).unwrap();
             said
         });
-        let (sender, lines) = channel();
+        let (sender, lines) = unbounded();
         std::thread::spawn(move || {
             errors.lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
         });
@@ -47,8 +48,9 @@ impl Program {
 
     /// Waits for a line of standard error that holds the text; false if the program ends before.
     pub fn has_said(&mut self, text: &str) -> bool {
+        let deadline = Instant::now() + PATIENCE;
         loop {
-            match self.lines.recv_timeout(PATIENCE) {
+            match self.lines.recv_deadline(deadline) {
                 Ok(line) => {
                     self.seen.push(line);
                     if self.seen.last().is_some_and(|line| line.contains(text)) {
@@ -67,6 +69,19 @@ impl Program {
         let mut kill = Command::new("kill");
         kill.args([&signal, &self.child.id().to_string()]);
         assert!(kill.status().unwrap().success());
+    }
+
+    /// Ends it, as Ctrl-C does.
+    pub fn interrupt(self) -> Ended {
+        self.signal("INT");
+        self.ended()
+    }
+
+    /// Ends it in this way; returns its output. It ends with that exit code.
+    pub fn interrupted(self, code: i32) -> String {
+        let ended = self.interrupt();
+        assert_eq!(ended.code, Some(code), "{}", ended.errors);
+        ended.said
     }
 
     /// Whether it has ended.

@@ -1,7 +1,7 @@
 //! The Python nodes of `schemas/python` with our bus.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 use std::sync::mpsc::channel;
 
 use bundlemocap::core::body;
@@ -11,7 +11,7 @@ use bundlemocap::io::formats::frame_rate_beside;
 use bundlemocap::io::recording::{Provenance, Writer};
 use bundlemocap::io::wire::{self, KeypointFrame, Pose, Rig, Skeleton, Topics, TrackingState};
 
-use crate::program::{Program, listening_node};
+use crate::program::{Ended, Program, listening_node};
 
 fn scripts() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/python")
@@ -263,16 +263,6 @@ fn a_video_is_published_as_a_camera_and_a_camera_that_goes_away_is_opened_again(
     check(&away.unwrap());
 }
 
-/// Ended on drop.
-struct Ended(Child);
-
-impl Drop for Ended {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[test]
 fn a_subscriber_in_python_gets_skeleton_and_poses() {
     let Some(generated) = generated() else { return };
@@ -287,12 +277,9 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
     let encoding = |name: &str| format!("application/protobuf;bundlemocap.v1.{name}");
     publisher.put(Timestamp::default(), &encoding("Skeleton"), &wire::encode(&skeleton)).unwrap();
 
-    let child = python(generated.path(), "retarget_node.py")
-        .args(["--connect", &at, "--stage", "take", "--actor", "anna", "--poses", "2"])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn();
-    let mut child = Ended(child.unwrap());
+    let mut retarget = python(generated.path(), "retarget_node.py");
+    let of_two = ["--connect", &at, "--stage", "take", "--actor", "anna", "--poses", "2"];
+    let mut retarget = Program::start(retarget.args(of_two));
     let poses = node.publisher("mocap/take/actor/anna/pose").unwrap();
     let pose = Pose {
         capture_time_ns: 1_000_000_000,
@@ -306,13 +293,12 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
     let payload = wire::encode(&pose);
     for _ in 0..3000 {
         poses.put(Timestamp::from_ns(1_000_000_000), &encoding("Pose"), &payload).unwrap();
-        if child.0.try_wait().unwrap().is_some() {
+        if retarget.is_over() {
             break;
         }
-        std::thread::park_timeout(std::time::Duration::from_millis(10));
+        std::thread::sleep(std::time::Duration::from_millis(10));
     }
-    let said = std::io::read_to_string(child.0.stdout.take().unwrap()).unwrap();
-    let errors = std::io::read_to_string(child.0.stderr.take().unwrap()).unwrap();
+    let Ended { said, errors, .. } = retarget.ended();
     let line = "1000000000,tracking,250.000,0.500000,1.000000,-2.000000,0.000000,0.000000,\
                 0.000000,1.000000,0.600000,0.000000,0.000000,0.800000\r\n";
     let head = "capture_time_ns,state,latency_ms,root_x,root_y,root_z,pelvis.x,pelvis.y,pelvis.z,\

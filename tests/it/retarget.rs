@@ -1,9 +1,8 @@
 //! Retargeting to our own skeleton, CMU's, and synthetic ones of each naming convention.
 
 use std::fmt::Write as _;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use bundlemocap::core::body::{
@@ -23,6 +22,7 @@ use bundlemocap::retarget::{Channels, Convention, Figure, Map, Retarget, Target}
 use expect_test::expect;
 use nalgebra::{Matrix3, Vector3};
 
+use crate::program::Program;
 use crate::support::data;
 use crate::vmc::{bones, read};
 
@@ -821,16 +821,6 @@ fn unusable_input_gives_a_one_line_error() {
     assert_eq!(robot, bvh_text(&mixamo(), ZYX));
 }
 
-/// A child process that ends with the test.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[test]
 fn live_poses_are_retargeted_and_written_at_the_end() {
     let listen = vec!["tcp/127.0.0.1:0".into()];
@@ -852,12 +842,8 @@ fn live_poses_are_retargeted_and_written_at_the_end() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
     command.args(["retarget", "--skeleton", "my robot.bvh", "--out", "take.bvh", "--connect"]);
     command.arg(&bus.listens_on()[0]).current_dir(folder.path());
-    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let mut child = Running(child);
-    let mut errors = BufReader::new(child.0.stderr.take().unwrap());
-    let mut line = String::new();
-    errors.read_line(&mut line).unwrap();
-    assert!(line.contains("retargeted/my_robot; stop with Ctrl-C"), "{line}");
+    let mut live = Program::start(&mut command);
+    assert!(live.has_said("retargeted/my_robot; stop with Ctrl-C"));
     // The skeleton may arrive after the first pose: repeat the pose until there is a result.
     let poses = poses(&skeleton);
     let payload = |index: usize| {
@@ -897,9 +883,7 @@ fn live_poses_are_retargeted_and_written_at_the_end() {
     let output = run(folder.path(), "retarget --skeleton my.bvh --out other.bvh");
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("other.p1.bvh exists"), "{said}");
-    let pid = child.0.id().to_string();
-    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-    assert_eq!(child.0.wait().unwrap().code(), Some(0));
+    live.interrupted(0);
     let text = std::fs::read_to_string(folder.path().join("take.bvh")).unwrap();
     let back = Bvh::parse(&text).unwrap();
     assert!(back.frames() == 30 && (back.frame_time() - 1.0 / 30.0).abs() < 1e-6);

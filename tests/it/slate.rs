@@ -101,9 +101,6 @@ fn each_take_has_a_journal_that_needs_nothing_of_the_time_before() {
     let run = replayed(&from(&recorded, 6.0), None).unwrap();
     assert_agrees(&run);
     assert_ne!(run.start.run_id, walk.start.run_id);
-    let pose = world.heard.poses();
-    let gap = pose.windows(2).map(|p| p[1].1.capture_time_ns - p[0].1.capture_time_ns).max();
-    println!("longest time without poses: {} ms", gap.unwrap() / 1_000_000);
 }
 
 /// The node is killed during the take, or ends in order, and another one goes on.

@@ -277,18 +277,10 @@ fn a_place_is_somebody_elses_when_a_performer_has_left() {
     let at = |person: usize, _: f64| Vector3::new(0.9 * (person as f64 - 1.0), 0.0, 0.5);
     let crowd = people(&[0.3, -1.0, 1.6], 10.0, at);
     let entered = |left_after_s: f64| {
-        let start = crowd.people()[0].start;
-        let frames = crowd.detections().map(|(mut frame, owners)| {
-            frame.capture = bundlemocap::Timestamp::default() + (frame.capture - start);
-            let seconds = frame.capture.ns() as f64 * 1e-9;
-            let is_there = |owner: usize| match owner {
-                0 => true,
-                1 => seconds < 3.0,
-                _ => seconds > 5.0,
-            };
-            let mut owners = owners.into_iter();
-            frame.people.retain(|_| owners.next().is_some_and(is_there));
-            frame
+        let frames = seen(&crowd, |person, _, seconds| match person {
+            0 => true,
+            1 => seconds < 3.0,
+            _ => seconds > 5.0,
         });
         let choice = Choice { left_after_s, ..Choice::default() };
         let result = run_choosing(&crowd.people()[0].rig, frames, "2", choice);

@@ -1,9 +1,8 @@
 //! The tools on the bus: the built program, with a router in place of the node.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use bundlemocap::core::body::Skeleton;
@@ -15,8 +14,9 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::program::{PATIENCE, Program};
+
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
-const PATIENCE: Duration = Duration::from_secs(60);
 const CAMERAS: usize = 3;
 const FRAMES: u64 = 30;
 
@@ -54,47 +54,15 @@ impl Place {
         String::from_utf8(output.stdout).unwrap()
     }
 
-    /// `record`, after its first line of standard error: it listens.
-    fn recorder(&self, name: &str) -> Running {
+    /// `record`, when it listens.
+    fn recorder(&self, name: &str) -> Program {
         Self::listening(self.command(&format!("record {name}")))
     }
 
-    fn listening(mut command: Command) -> Running {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        let mut errors = BufReader::new(child.stderr.take().unwrap());
-        errors.read_line(&mut line).unwrap();
-        assert!(line.starts_with("recording ") && line.contains("mocap/stage/** to"), "{line}");
-        Running(child, errors)
-    }
-}
-
-/// A child that ends with the test.
-struct Running(Child, BufReader<std::process::ChildStderr>);
-
-impl Running {
-    /// Sends SIGINT and waits; returns its output.
-    fn interrupt(self) -> String {
-        self.interrupted(0)
-    }
-
-    /// The same, with that exit code.
-    fn interrupted(mut self, code: i32) -> String {
-        let pid = self.0.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-        let mut printed = String::new();
-        self.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
-        let mut errors = String::new();
-        self.1.read_to_string(&mut errors).unwrap();
-        assert_eq!(self.0.wait().unwrap().code(), Some(code), "{errors}");
-        printed
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+    fn listening(mut command: Command) -> Program {
+        let mut recorder = Program::start(&mut command);
+        assert!(recorder.has_said("mocap/stage/** to"));
+        recorder
     }
 }
 
@@ -159,7 +127,7 @@ fn played_messages_are_recorded_byte_for_byte() {
     let said = place.done("play walk.mcap --keep-times --speed 0.5");
     assert!(said.contains("cam01") && said.contains("30 frames"), "{said}");
     wait_for_messages(&place.path("take.mcap.part"), 1 + CAMERAS * FRAMES as usize);
-    let said = recorder.interrupt();
+    let said = recorder.interrupted(0);
     assert!(said.contains("91 messages"), "{said}");
     assert!(!place.path("take.mcap.part").exists());
 
@@ -268,7 +236,7 @@ fn a_recording_survives_a_kill() {
     const PROBE: u64 = 1000;
     let place = Place::new();
     let topics = Topics::default();
-    let mut recorder = place.recorder("take.mcap");
+    let recorder = place.recorder("take.mcap");
     let publisher = place.router.publisher(&topics.stage_events()).unwrap();
     let encoding = media_type("bundlemocap.v1.Event");
     let put = |count| {
@@ -292,8 +260,7 @@ fn a_recording_survives_a_kill() {
         assert!(begin.elapsed() < PATIENCE, "not all messages");
         std::thread::sleep(Duration::from_millis(50));
     }
-    recorder.0.kill().unwrap();
-    recorder.0.wait().unwrap();
+    drop(recorder);
 
     assert!(!place.path("take.mcap").exists());
     let (entries, damage) = raw(&part);
@@ -334,15 +301,17 @@ fn bad_arguments_and_a_missing_node_give_a_one_line_error() {
         let mut command = Command::new(PROGRAM);
         command.args(line.split_whitespace()).current_dir(folder.path()).output().unwrap()
     };
-    // A port that was just free has no listener.
-    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     for line in ["play walk.mcap", "echo all", "record take.mcap"] {
-        fails(&run(&format!("{line} --connect tcp/127.0.0.1:{port}")), 13, "nothing answers");
+        fails(&run(&format!("{line} --connect tcp/127.0.0.1:1")), 13, "nothing answers");
     }
     assert!(!folder.path().join("take.mcap.part").exists());
     fails(&run("play walk.mcap --speed 0"), 2, "--speed is 0");
     fails(&run("play walk.mcap --drop 1.5"), 2, "--drop is 1.5");
     fails(&run("play walk.mcap --late-ms -1"), 2, "--late-ms is -1");
+    fails(&run("play walk.mcap --start-at 5"), 2, "must be 0 to 86400 s ahead");
+    fails(&run("take clock cam01 fast"), 2, "clock needs milliseconds");
+    fails(&run("take mend cam01 5"), 2, "one word too many");
+    fails(&run("take name p1 -x"), 2, "-x");
     fails(&run("play walk.mcap --camera cam9"), 8, "cam01, cam02, cam03");
     fails(&run("play nothing.mcap"), 3, "nothing.mcap");
     fails(&run("echo all --stage a/b"), 2, "--stage: \"a/b\"");

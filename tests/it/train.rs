@@ -232,7 +232,9 @@ fn the_transition_model_prefers_real_transitions_to_shuffled_ones() {
     let model = Transition::embedded().unwrap();
     let clips = read_folder(&folder).unwrap();
     let unseen = clips.iter().filter(|clip| ["07", "10"].contains(&clip.subject.as_str()));
-    for clip in unseen.step_by(4) {
+    let unseen: Vec<_> = unseen.step_by(4).collect();
+    assert!(unseen.len() > 2);
+    for clip in unseen {
         let keyframes = transition_keyframes(None, clip, 60.0).unwrap();
         let count = keyframes.len();
         let real: Vec<&Keyframe> = keyframes.iter().collect();
@@ -392,7 +394,8 @@ fn the_whole_corpus_is_read_and_limb_directions_match_the_files() {
             let ours = from_pelvis(clip, frame, joint) * rest_direction(joint);
             let angle = file.angle(&ours).to_degrees();
             // The rest offset of the first skeleton's forearm is up to 18 degrees off the axis.
-            assert!(angle < 20.0, "{} {}: {angle}", clip.name, joint.name());
+            let most = if matches!(joint, Joint::LElbow | Joint::RElbow) { 20.0 } else { 12.0 };
+            assert!(angle < most, "{} {}: {angle}", clip.name, joint.name());
         }
     }
 }

@@ -205,8 +205,7 @@ fn sends_to_each_address(options: &[&str], wanted: [f32; 2]) {
         std::thread::sleep(Duration::from_millis(10));
     }
     assert!(bridge.has_said("unusable message"));
-    bridge.signal("INT");
-    let ended = bridge.ended();
+    let ended = bridge.interrupt();
     assert_eq!(ended.code, Some(0), "{}", ended.errors);
     assert!(ended.errors.contains("p3 is not sent; give --to p3=HOST:PORT"), "{}", ended.errors);
     for part in ["poses sent", "unusable messages", "of p3 without an address"] {
@@ -219,7 +218,7 @@ fn a_wrong_address_is_refused() {
     for (to, why) in [
         (&["nowhere"][..], "--to nowhere"),
         (&["a b=127.0.0.1:1"], "--to"),
-        (&["127.0.0.1:1", "127.0.0.1:2"], "has another address already"),
+        (&["127.0.0.1:1", "127.0.0.1:2"], "another address without a name"),
         (&["p1=127.0.0.1:1", "p1=127.0.0.1:2"], "has another address already"),
         (&["p1=127.0.0.1:1", "p2=127.0.0.1:1"], "is given twice"),
         (&["p1=127.0.0.1:1", "--actor", "p2"], "another performer than that of --actor"),

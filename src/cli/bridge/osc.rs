@@ -279,12 +279,13 @@ fn command(OscMessage { addr, args }: &OscMessage) -> Result<Option<Take>, Strin
             Ok(Take { name: valid(&format!("{slate}_{number}")), ..take })
         }
         ("reset", [name]) if !name.is_empty() => Ok(Take { name: valid(name), ..take }),
-        ("stop" | "reset", _) => Ok(take),
+        ("stop", _) | ("reset", []) => Ok(take),
         ("note", [text]) if !text.is_empty() => Ok(Take { note: (*text).to_owned(), ..take }),
         ("mark", [mark @ ("good" | "bad")]) => {
             Ok(Take { action: "note".to_owned(), mark: (*mark).to_owned(), ..take })
         }
         ("start", _) => Err(format!("{addr}: give a name, or a slate and a number")),
+        ("reset", _) => Err(format!("{addr}: give one name, or none for all")),
         ("note", _) => Err(format!("{addr}: give a text")),
         ("mark", _) => Err(format!("{addr}: give good or bad")),
         _ => Err(format!("{addr} is no command; `bundlemocap bridge osc --help` lists them")),
@@ -352,6 +353,9 @@ mod tests {
         is(said("/take/mark", &[text("good")]), "note", "", "", "good");
         is(said("/take/reset", &[]), "reset", "", "", "");
         is(said("/take/reset", &[text("p2")]), "reset", "p2", "", "");
+        for wrong in [&[text("")][..], &[text("p2"), text("p3")]] {
+            assert!(said("/take/reset", wrong).unwrap_err().contains("one name"));
+        }
         for pressed in [OscType::Bool(true), OscType::Float(1.0), OscType::Inf] {
             assert!(said("/take/start", &[pressed]).unwrap().1.starts_with("take_20"));
         }

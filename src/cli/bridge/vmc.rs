@@ -181,7 +181,11 @@ impl Bridge {
                 return Err(wrong(&"this address is given twice"));
             }
             if targets.iter().any(|one| one.performer.as_deref() == name) {
-                return Err(wrong(&"this performer has another address already"));
+                let why = match name {
+                    Some(_) => "this performer has another address already",
+                    None => "there is another address without a name; give NAME=HOST:PORT",
+                };
+                return Err(wrong(&why));
             }
             targets.push(Target {
                 address,

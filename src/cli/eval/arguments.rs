@@ -193,7 +193,7 @@ pub(super) struct Motions {
     #[arg(long, value_name = "DIR")]
     pub(super) motions: Option<PathBuf>,
     /// Subjects whose clips are used [protocol: 07,10].
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "motions")]
     pub(super) subjects: Vec<String>,
     /// Bodies of the performers: own, shapes of our body model; foreign, each clip's own skeleton
     /// with keypoints at its joints; or skinned, eight bodies of Anny with keypoints on their skin

@@ -29,6 +29,7 @@ struct Level {
 /// Solves with every method at each noise level; prints and writes the tables.
 pub(super) fn compare(asked: &Methods, names: &[String]) -> Result<(), Failure> {
     let setup = Setup::new(&asked.motions)?;
+    let beside = asked.beside.as_deref().map(|path| Loaded::read(path, &[], &[])).transpose()?;
     let mut levels = Vec::new();
     for level in &asked.motions.views.noise {
         levels.push(solve(&setup, setup.view(level)?, names)?);
@@ -56,10 +57,7 @@ pub(super) fn compare(asked: &Methods, names: &[String]) -> Result<(), Failure> 
     if let Some(level) = levels.last() {
         add_curves(&mut report, level);
     }
-    let real = match &asked.beside {
-        Some(path) => of_detectors(&Loaded::read(path, &[], &[])?.take, &setup.decoder),
-        None => None,
-    };
+    let real = beside.and_then(|beside| of_detectors(&beside.take, &setup.decoder));
     let detectors: Vec<(&str, &DetectorStatistics)> = levels
         .iter()
         .filter_map(|level| Some((level.view.name.as_str(), level.detector.as_ref()?)))

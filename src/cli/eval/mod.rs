@@ -13,6 +13,7 @@ mod tune;
 
 use crate::cli::Ended;
 use crate::cli::failure::{Exit, Failure};
+use crate::offline::output::OutputFolder;
 use crate::research::experiments::methods;
 pub(super) use arguments::Arguments;
 use arguments::{Named, What};
@@ -20,6 +21,7 @@ use compare::compare;
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let out = &arguments.what.output().out;
+    let _folder = OutputFolder::make(out)?;
     for file in output::FILES {
         arguments.what.output().overwrite.check(&out.join(file))?;
     }

@@ -12,6 +12,7 @@ use crate::cli::failure::{Exit, Failure, within};
 use crate::cli::solve::{decoder, lost};
 use crate::cli::terminal::{complain, progress};
 use crate::core::detections::KeypointFormat;
+use crate::core::time::Nanos;
 use crate::io::file_name;
 use crate::io::formats::{MarkerMap, read_trajectories};
 use crate::io::report::{Bars, ReportData};
@@ -36,8 +37,7 @@ impl Loaded {
     /// The named cameras (all with keypoints if there are none), and those that are held out.
     pub(super) fn read(path: &Path, only: &[String], hold_out: &[String]) -> Result<Self, Failure> {
         let mut recording = Recording::open(path)?;
-        let (rig, cameras) = recording.chosen(only, hold_out)?;
-        let rig = Arc::new(rig);
+        let (mut rig, mut cameras) = recording.chosen(only, hold_out)?;
         let (mut frames, mut clocks) = (Vec::new(), Vec::new());
         let clock = recording.clock_camera(&rig);
         let mut seen = vec![Vec::new(); cameras.len()];
@@ -47,19 +47,28 @@ impl Loaded {
             || ControlFlow::Continue(()),
             |item| {
                 match item {
-                    Item::Detections(detections, _) => {
+                    Item::Detections(mut detections, _) => {
+                        // The methods get corrected times.
+                        let offset = rig.cameras[detections.camera].time_offset;
+                        detections.capture = detections.capture + offset;
                         if detections.camera == clock {
                             clocks.push(FrameClock::of(&detections));
                         }
                         frames.push(detections);
                     }
-                    Item::HeldOut(detections, _) => seen[detections.camera].push(detections),
+                    Item::HeldOut(mut detections, _) => {
+                        let offset = cameras[detections.camera].time_offset;
+                        detections.capture = detections.capture + offset;
+                        seen[detections.camera].push(detections);
+                    }
                     Item::TrueBody(..) | Item::TruePose(..) => {}
                 }
                 Ok(())
             },
         )?;
         lost(&recording);
+        let all = rig.cameras.iter_mut().chain(&mut cameras);
+        all.for_each(|camera| camera.time_offset = Nanos::ZERO);
         let short = || {
             let message = format!("{}: fewer than two frames of a camera", path.display());
             Failure::new(Exit::NoDetections, format!("{message}; give a longer recording"))
@@ -67,7 +76,7 @@ impl Loaded {
         let format = KeypointFormat::from_name(recording.format()).ok_or_else(short)?;
         let fps = frame_rate(&frames).ok_or_else(short)?;
         Ok(Self {
-            take: Take::new(rig, format, fps, frames),
+            take: Take::new(Arc::new(rig), format, fps, frames),
             held_out: cameras.into_iter().zip(seen).collect(),
             frames: clocks,
         })
@@ -132,9 +141,9 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     let results = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "weights": format!("{:016x}", decoder.fingerprint()),
-        "recording": path,
-        "reference": asked.reference,
-        "markers": asked.markers,
+        "recording": path.display().to_string(),
+        "reference": asked.reference.as_ref().map(|path| path.display().to_string()),
+        "markers": asked.markers.as_ref().map(|path| path.display().to_string()),
         "align": asked.align,
         "frame_rate_hz": take.fps,
         "every": asked.every,

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use super::arguments::Motions;
 use crate::cli::failure::{Exit, Failure, frame_rate_option, within};
 use crate::cli::solve::decoder;
-use crate::cli::terminal::{complain, progress};
+use crate::cli::terminal::{complain, note, progress};
 use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
-use crate::core::manifold::{Decoder, trained_on};
+use crate::core::manifold::{Decoder, EMBEDDED, trained_on};
 use crate::research::experiments::{Case, Methods, Run, Subject, View, procedural, run, subjects};
 use crate::research::synth::{Body, Noise, Protocol, RigError, rig_named};
 use crate::research::train::{self, Clip, read_folder};
@@ -76,14 +76,17 @@ impl Setup {
         if folder.is_some() && !others {
             warn_of_training(views.output.weights.as_deref(), &protocol);
         }
-        Ok(Self {
+        let setup = Self {
             decoder: decoder(views.output.weights.as_deref())?,
             subjects: usable(subjects, &protocol),
             rigs: protocol.rigs.iter().map(of_name).collect::<Result<_, _>>()?,
             format,
             jobs,
             protocol,
-        })
+        };
+        // A mistyped level is found before the first solve.
+        views.noise.iter().try_for_each(|level| setup.view(level).map(drop))?;
+        Ok(setup)
     }
 
     /// The view of a level of noise with the first rig and the first seed.
@@ -176,8 +179,10 @@ impl Setup {
 
 /// Warns if the weights were trained on subjects of the protocol.
 fn warn_of_training(weights: Option<&Path>, protocol: &Protocol) {
-    let bytes = weights.and_then(|path| std::fs::read(path).ok()).unwrap_or_default();
-    let trained = trained_on(&bytes);
+    let trained = match weights {
+        Some(path) => trained_on(&std::fs::read(path).unwrap_or_default()),
+        None => trained_on(EMBEDDED),
+    };
     let known = protocol.subjects.iter().filter(|subject| trained.contains(subject));
     let known: Vec<&str> = known.map(String::as_str).collect();
     if !known.is_empty() {
@@ -248,12 +253,12 @@ fn usable(subjects: Vec<Subject>, protocol: &Protocol) -> Vec<Subject> {
     let (usable, others): (Vec<_>, Vec<_>) = subjects.into_iter().partition(is_usable);
     if !others.is_empty() {
         let names: Vec<&str> = others.iter().map(|subject| subject.name.as_str()).collect();
-        eprintln!(
+        note(&format!(
             "skipped {}: no {} s within {} m with plausible motion",
             names.join(", "),
             choice.least_seconds,
             choice.radius_m
-        );
+        ));
     }
     usable
 }

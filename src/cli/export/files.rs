@@ -94,14 +94,14 @@ fn animated<'a>(
 fn glb(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let (about, poses) = animated(one, export);
     let keys = write_glb(path, &about, &one.skeleton, poses)?;
-    mark(path, one, export)?;
+    mark(path, one, export, Fill::without_limit(one.fps))?;
     Ok(format!("{keys} keys at {:.2} Hz", about.fps))
 }
 
 fn usda(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let (about, poses) = animated(one, export);
     let keys = write_usda(path, &about, &one.skeleton, poses)?;
-    mark(path, one, export)?;
+    mark(path, one, export, Fill::without_limit(one.fps))?;
     Ok(format!("{keys} keys at {:.2} Hz", about.fps))
 }
 
@@ -111,13 +111,13 @@ fn bvh(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     one.poses.iter().try_for_each(|pose| file.write(pose))?;
     let (states, unfilled) = file.finish(path)?;
     unfilled.into_iter().for_each(|text| complain("note", &text));
-    mark(path, one, export)?;
+    mark(path, one, export, Fill::new(fps))?;
     Ok(format!("{} frames at {fps:.2} Hz", states.frames()))
 }
 
 /// Writes beside an animation which of its frames are lost, if that is asked for.
-fn mark(path: &Path, one: &Motion, export: &Export) -> Result<(), Failure> {
-    if export.lost == Lost::Mark { write_states(path, one, export.start) } else { Ok(()) }
+fn mark(path: &Path, one: &Motion, export: &Export, fill: Fill) -> Result<(), Failure> {
+    if export.lost == Lost::Mark { write_states(path, one, export.start, fill) } else { Ok(()) }
 }
 
 /// Writes beside an animation that begins at `start` which of its frames are lost.
@@ -125,10 +125,14 @@ pub(in crate::cli) fn write_states(
     path: &Path,
     one: &Motion,
     start: Timestamp,
+    fill: Fill,
 ) -> Result<(), Failure> {
-    let mut states = States::default();
-    for pose in evenly(path, one, start) {
-        states.add(1, pose.map_or(HELD, |pose| pose.state.name()));
+    let (mut states, mut fill) = (States::default(), fill.from(start));
+    for pose in &one.poses {
+        if let Some(gap) = fill.gap_before(pose.capture) {
+            states.add(gap, HELD);
+            states.add(1, pose.state.name());
+        }
     }
     Ok(text(&states_of(path), &states.csv())?)
 }
@@ -138,8 +142,10 @@ fn evenly<'a>(path: &Path, one: &'a Motion, start: Timestamp) -> Vec<Option<&'a 
     let mut fill = Fill::new(one.fps).from(start);
     let mut frames = Vec::new();
     for pose in &one.poses {
-        frames.resize(frames.len() + fill.gap_before(pose.capture), None);
-        frames.push(Some(pose));
+        if let Some(gap) = fill.gap_before(pose.capture) {
+            frames.resize(frames.len() + gap, None);
+            frames.push(Some(pose));
+        }
     }
     fill.note(path).into_iter().for_each(|text| complain("note", &text));
     frames
@@ -227,7 +233,7 @@ fn mot(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let (fps, poses) = (one.fps, filled(path, one, export));
     let frames = poses.len();
     write_mot(path, fps, &one.skeleton, poses.into_iter().map(|pose| pose.pose))?;
-    mark(path, one, export)?;
+    mark(path, one, export, Fill::new(fps))?;
     Ok(format!("{frames} frames at {fps:.2} Hz"))
 }
 
@@ -254,6 +260,6 @@ fn npz(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
 }
 
 fn svg(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
-    text(path, &strip(&one.poses, &one.skeleton, export.figures))?;
-    Ok(format!("{} stick figures", export.figures))
+    text(path, &strip(&one.poses, &one.skeleton, export.figures, export.start))?;
+    Ok(format!("{} stick figures", export.figures.min(one.poses.len())))
 }

@@ -78,7 +78,8 @@ pub(crate) fn play(
             player.send(due, clock)?;
             each(&player.sent);
         }
-        if !how.repeat {
+        let next = take.round_start(round + 1);
+        if !how.repeat || !clock.wait_until(player.time(next)) {
             break;
         }
     }
@@ -266,7 +267,8 @@ mod tests {
     #[test]
     fn a_loop_goes_on_in_time_and_in_frame_numbers() {
         let take = of(&file(&[("a", &[0, 1, 2])]), &[]);
-        let (samples, sent) = played(&take, &Playing { repeat: true, ..how() }, 9);
+        // The end of a round is waited for, too.
+        let (samples, sent) = played(&take, &Playing { repeat: true, ..how() }, 11);
         assert_eq!(sent.frames, [8]);
         let frames: Vec<KeypointFrame> = samples[1..].iter().map(frame).collect();
         let first = frames[0].frame;

@@ -22,6 +22,10 @@ use crate::io::wire::{
 const MARGIN: Nanos = Nanos::SECOND;
 /// The list of notes in the folder of takes.
 const NOTES: &str = "takes.csv";
+/// Most topics of which the last hand-over is kept.
+const MOST_HANDED: usize = 256;
+/// The longest latency that the end of a file waits for: commands are answered soon.
+const LONGEST_LATENCY: Nanos = Nanos::from_ms(2000);
 /// Most inputs that are kept for the next take.
 const MOST_RECENT: usize = 65_536;
 /// Most bytes of their payloads.
@@ -156,6 +160,10 @@ pub(crate) struct Recorder {
     /// Number of takes that could not be completed.
     failed: u64,
     rig: Option<RawEntry>,
+    /// By topic, what a solver told last of a performer: solvers that start later begin with it.
+    handed: BTreeMap<Arc<str>, RawEntry>,
+    /// The longest latency of a node since the take began: its last poses come as late.
+    latency: Nanos,
     /// The inputs of the last second.
     recent: VecDeque<RawEntry>,
     /// Bytes of their payloads.
@@ -191,6 +199,8 @@ impl Recorder {
             skipped: 0,
             failed: 0,
             rig: None,
+            handed: BTreeMap::new(),
+            latency: Nanos::ZERO,
             recent: VecDeque::new(),
             recent_bytes: 0,
             silence: Silence::default(),
@@ -228,7 +238,28 @@ impl Recorder {
         said.extend(self.each(|file| file.write(&entry))?);
         self.room.wrote(entry.payload.len());
         self.silence.came(&entry.topic, entry.log_time);
-        match Topic::parse(&entry.topic) {
+        let topic = Topic::parse(&entry.topic);
+        let is_own = topic.as_ref().is_ok_and(|topic| *topic.stage() == *self.topics.stage);
+        if !is_own {
+            return Ok(said);
+        }
+        match &topic {
+            Ok(Topic::Actor { channel: ActorChannel::HandOver, .. }) => {
+                self.handed.insert(Arc::clone(&entry.topic), entry.clone());
+                if self.handed.len() > MOST_HANDED {
+                    let oldest = self.handed.iter().min_by_key(|(_, entry)| entry.log_time);
+                    let oldest = oldest.map(|(topic, _)| Arc::clone(topic));
+                    oldest.and_then(|oldest| self.handed.remove(&oldest));
+                }
+            }
+            Ok(Topic::Actor { channel: ActorChannel::Status, .. }) => {
+                let latency = decode::<Status>(&entry.payload).map_or(0, |s| s.declared_latency_ns);
+                let latency = Nanos::new(i64::try_from(latency).unwrap_or(0)).min(LONGEST_LATENCY);
+                self.latency = self.latency.max(latency);
+            }
+            _ => {}
+        }
+        match topic {
             Ok(Topic::Stage { channel: StageChannel::Rig, .. }) => self.rig = Some(entry),
             Ok(Topic::Stage { channel: StageChannel::Status, .. }) => {
                 decode(&entry.payload).iter().for_each(|status| self.silence.forget_absent(status));
@@ -256,9 +287,22 @@ impl Recorder {
         Ok(said)
     }
 
+    /// The command, if this is one for the stage that is recorded.
+    pub(crate) fn command(&self, topic: &str, payload: &[u8]) -> Option<Take> {
+        match Topic::parse(topic) {
+            Ok(Topic::Stage { stage, channel: StageChannel::Take })
+                if stage == self.topics.stage =>
+            {
+                decode(payload).ok()
+            }
+            _ => None,
+        }
+    }
+
     fn join(&mut self, entry: &RawEntry) -> Result<Vec<Said>, RecordError> {
         let topic = Topic::parse(&entry.topic);
-        let is_status = matches!(topic, Ok(Topic::Actor { channel: ActorChannel::Status, .. }));
+        let is_status = matches!(topic, Ok(Topic::Actor { stage, channel: ActorChannel::Status, .. })
+            if stage == self.topics.stage);
         let status = (self.may_join && is_status).then(|| decode::<Status>(&entry.payload));
         let Some(Ok(Status { take: name, node_time_ns, .. })) = status else {
             return Ok(Vec::new());
@@ -344,15 +388,16 @@ impl Recorder {
         Ok(format!("noted for {name} in {}", path.display()))
     }
 
-    /// The take ends, and its file after [`MARGIN`].
+    /// The take ends, and its file after [`MARGIN`] and the latency of the last poses.
     fn stop(&mut self, command: Option<u64>, now: Timestamp) {
         let stopped = self.take.take();
-        let until = now + MARGIN;
+        let until = now + MARGIN + self.latency;
         self.ending.extend(stopped.map(|Running { file, .. }| Ending { file, until, command }));
     }
 
     fn begin(&mut self, take: &Take, now: Timestamp) -> Result<Vec<Said>, RecordError> {
         self.stop(None, now);
+        self.latency = Nanos::ZERO;
         let free = match self.room.free() {
             Ok(free) => free,
             Err(why) => return Ok(vec![Said::Answer(take.id, Err(why))]),
@@ -368,8 +413,11 @@ impl Recorder {
         };
         let begin = now - MARGIN;
         // It may have come long before the take.
-        let rig = self.rig.clone().map(|rig| RawEntry { log_time: begin, ..rig });
-        for entry in rig.iter().chain(self.recent.iter().filter(|entry| entry.log_time >= begin)) {
+        let earlier = self.handed.values().filter(|entry| entry.log_time < begin);
+        let at_begin = |entry: &RawEntry| RawEntry { log_time: begin, ..entry.clone() };
+        let known: Vec<RawEntry> = self.rig.iter().chain(earlier).map(at_begin).collect();
+        for entry in known.iter().chain(self.recent.iter().filter(|entry| entry.log_time >= begin))
+        {
             if let Err(error) = file.write(entry) {
                 return Ok(vec![Said::Answer(take.id, Err(error.to_string()))]);
             }

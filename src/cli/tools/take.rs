@@ -139,9 +139,14 @@ impl Take {
         counts: &mut Disturbed,
     ) -> Vec<Due> {
         let since_start = |at| at - self.span[0] + self.round_start(round);
-        let rigs = self.rigs.iter().enumerate().skip(1);
+        // The first calibration of the first round is sent before it; a later round returns to it.
+        let is_sent = round == 0 || self.rigs.len() < 2;
+        let rigs = self.rigs.iter().enumerate().skip(usize::from(is_sent));
         let mut all: Vec<Due> = rigs
-            .map(|(index, (at, _))| Due { at: since_start(*at), what: What::Rig(index) })
+            .map(|(index, (at, _))| {
+                let at = if index == 0 { self.round_start(round) } else { since_start(*at) };
+                Due { at, what: What::Rig(index) }
+            })
             .collect();
         for (camera, frames) in self.cameras.iter().enumerate() {
             let stream = (round << 16) + camera as u64;
@@ -157,7 +162,7 @@ impl Take {
     }
 
     /// Start of a round, since the start of the first.
-    fn round_start(&self, round: u64) -> Nanos {
+    pub(crate) fn round_start(&self, round: u64) -> Nanos {
         self.round_length() * i64::try_from(round).unwrap_or(i64::MAX)
     }
 

@@ -20,9 +20,9 @@ pub struct LevenbergMarquardt {
 
 /// Above this damping no step is tried any more.
 const MAX_DAMPING: f64 = 1e12;
-/// After a relative change of the cost below this, a chord step may follow.
+/// A chord step follows a step that lowered the cost by less than this part of it...
 const CHORD_CHANGE: f64 = 0.5;
-/// A chord step may also follow if the relative error of the predicted change is at most this.
+/// ... and by more than this part of what was predicted.
 const CHORD_GAIN: f64 = 0.5;
 /// Keeps the damped diagonal positive where that of the Hessian is zero.
 const MIN_DIAGONAL: f64 = 1e-9;

@@ -5,11 +5,12 @@ use std::sync::Arc;
 use super::crowd::Crowd;
 use super::people::{Claimed, FrameSet, Owner};
 use super::{Next, Stage, is_tracked};
+use crate::core::body::TrackingState;
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::so3;
 use crate::core::time::Nanos;
-use crate::core::tracker;
+use crate::core::tracker::{self, Tracker};
 
 /// A camera keeps its place if a new calibration moves and turns it by less, metres and radians.
 const SAME_PLACE_M: f64 = 0.1;
@@ -130,7 +131,11 @@ impl Stage {
         let Some(live) = self.template.live_settings().filter(|_| self.crowd.is_some()) else {
             return;
         };
-        if !self.trackers.get(self.lead).is_some_and(is_tracked)
+        // A lead who is hidden for a moment stays the lead, with what is known of moved cameras.
+        let is_here = |lead: &Tracker| {
+            is_tracked(lead) || lead.state() == Some(TrackingState::Coasting) && !lead.is_idle()
+        };
+        if !self.trackers.get(self.lead).is_some_and(is_here)
             && let Some(next) = self.trackers.iter().position(is_tracked)
             && let Ok([before, after]) = self.trackers.get_disjoint_mut([self.lead, next])
         {

@@ -21,7 +21,7 @@
 //!
 //! What belongs to the cameras is owned by the stage: their clock, latency and effort are the same for
 //! all performers, and windows close when the stage's sets are complete. Live, time offsets and moved
-//! cameras are found from the performer who is tracked longest, and hold for all.
+//! cameras are found from one performer, the lead, and hold for all.
 
 mod associated;
 mod cameras;
@@ -207,7 +207,7 @@ impl Stage {
     pub fn drop_performer(&mut self, performer: PerformerId) -> bool {
         let Some(crowd) = &mut self.crowd else { return false };
         let Some(at) = crowd.people_mut().drop_performer(performer.0) else { return false };
-        // It has no poses from here on, not even extrapolated ones.
+        // Solved here, it has no poses from here on, not even extrapolated ones.
         self.next.push_back(Next::Tracker(performer.0, tracker::Input::Restart));
         let detail = "dropped: not solved until somebody follows this person";
         self.tell(performer.0, at, EventKind::Vacated, detail.to_owned());
@@ -292,8 +292,7 @@ impl Stage {
         &mut self.trackers
     }
 
-    /// The tracker whose times hold for all: that of the performer who is tracked longest, or that of
-    /// the next performer.
+    /// The tracker whose times hold for all: that of the lead, a performer who is tracked, or that of the next performer.
     pub fn lead(&self) -> &Tracker {
         let lead = match self.is_associated {
             true => self.trackers.iter().find(|tracker| is_tracked(tracker)),

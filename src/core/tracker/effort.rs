@@ -16,7 +16,7 @@ pub struct Effort {
 }
 
 impl Effort {
-    /// The number of steps by which effort can be lowered.
+    /// The number of levels; 0 is the full effort.
     pub const LEVELS: u32 = 6;
     /// The first level that uses fewer frames.
     pub const FEWER_FRAMES: u32 = 3;

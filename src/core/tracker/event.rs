@@ -76,7 +76,7 @@ named! {
         Idle = "idle",
         /// Which clock the cameras use, against the node's.
         Clock = "clock",
-        /// A take began, was joined or ended, or the performer's body was forgotten, as asked.
+        /// A command was followed: a take began, was joined or ended, a body was forgotten, a performer was named, and so on.
         Take = "take",
         /// A performer was seen for the first time, with several on the stage.
         Entered = "entered",
@@ -106,4 +106,17 @@ pub struct Event {
     pub count: u64,
     /// The measured values and thresholds.
     pub detail: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_of_event_is_in_the_docs() {
+        let docs = include_str!("../../../docs/monitoring.md");
+        for kind in EventKind::ALL {
+            assert!(docs.contains(&format!("| `{}` | ", kind.name())), "{}", kind.name());
+        }
+    }
 }

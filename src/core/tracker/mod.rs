@@ -9,9 +9,9 @@
 //! A window is `window_frames` nominal frame periods long, times a whole number for cameras that are faster
 //! than `reference_rate_hz`. After its solve, its first
 //! `publish_frames` are final, and the next window starts after them. A window closes when every
-//! camera has sent a frame at its end or later, or when its deadline passes: `deadline_frames`
-//! after its end, measured on the newest capture time or, live, on the clock of [`Input::Tick`].
-//! The solver has at most one job at a time.
+//! camera that is waited for has sent a frame at its end or later, or when its deadline passes: `deadline_frames`
+//! after its end, measured on the capture time that two cameras have reached or, live, on the clock of
+//! [`Input::Tick`]. The solver has at most one window at a time.
 //!
 //! # A performer's states
 //! 1. **Searching.** Robust triangulation matches persons across the views of a frame set. The best

@@ -5,8 +5,8 @@
 //! dorsiflexion, extension of the back, adduction, and for both sides rotation inwards. Rotations that a joint of those
 //! models does not have are left out: knees, elbows and ankles bend about one axis. The upper arm turns about its own axis
 //! until the elbow's one axis brings the forearm where it is. The pelvis' place is that of our joint, not of the origin of
-//! the models' pelvis. With a level arm two of its angles are not unique (Euler's singularity): they may change fast, and jump
-//! by half a turn.
+//! the models' pelvis. With a level arm, or a performer who lies on the side, two angles are not unique (Euler's singularity):
+//! they may change fast, and jump by half a turn.
 //!
 //! Source: Rajagopal et al., Full-body musculoskeletal model for muscle-driven simulation of human gait, 2016; the
 //! joints of `Rajagopal2016.osim`.
@@ -29,6 +29,8 @@ use crate::io::new_file;
 const SURE_SIDE: f64 = 0.3;
 /// Weight of the size of angles beside their distance from the last ones.
 const SMALL: f64 = 1.5;
+/// The same of the pelvis' tilt, list and rotation.
+const SMALL_OF_PELVIS: [f64; 3] = [2.0, 2.0, 0.0];
 /// Number of coordinates of a pose.
 const COORDINATES: usize = 27;
 
@@ -146,7 +148,11 @@ impl Angles {
             let turn = axes * turn * axes.transpose();
             // The performer may turn round and round.
             *last = if joints.is_empty() {
-                so3::angles(&turn, [2, 0, 1], *last)
+                // Tilt and list go on over whole turns, as in a roll forward.
+                let mut both = so3::both_angles(&turn, [2, 0, 1], *last);
+                both.sort_by(|a, b| so3::apart(a, last).total_cmp(&so3::apart(b, last)));
+                both[1] = so3::nearest_turns(both[1], [0.0, 0.0, last[2]]);
+                smallest(both, *last, SMALL_OF_PELVIS)
             } else {
                 small_angles(&turn, *last)
             };
@@ -173,10 +179,16 @@ impl Angles {
 fn small_angles(turn: &Matrix3<f64>, last: [f64; 3]) -> [f64; 3] {
     let near = so3::both_angles(turn, [2, 0, 1], last);
     let home = near.map(|angles| so3::nearest_turns(angles, [0.0; 3]));
-    let cost =
-        |angles: &[f64; 3]| so3::apart(angles, &last) + SMALL * so3::apart(angles, &[0.0; 3]);
-    let all = near.into_iter().chain(home);
-    all.min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(last)
+    smallest(near.into_iter().chain(home), last, [SMALL; 3])
+}
+
+/// The angles nearest to `last`, unless others are much smaller; `small`: the weights of the sizes.
+fn smallest(all: impl IntoIterator<Item = [f64; 3]>, last: [f64; 3], small: [f64; 3]) -> [f64; 3] {
+    let cost = |angles: &[f64; 3]| {
+        let size: f64 = angles.iter().zip(small).map(|(angle, small)| small * angle.abs()).sum();
+        so3::apart(angles, &last) + size
+    };
+    all.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(last)
 }
 
 /// An elbow that only bends, about z, and the turn of the upper arm about its axis, y, with which the forearm points
@@ -326,6 +338,45 @@ mod tests {
             steps(top, 0.0).for_each(|aside| drop(at([aside, 100.0])));
             let hanging = at([0.0, 0.0]);
             assert!(hanging.iter().all(|angle| angle.abs() < 1.0), "{top}: {hanging:?}");
+        }
+    }
+
+    /// Falls on the side, rolls over on the floor, and stands up.
+    #[test]
+    fn the_pelvis_is_upright_again_after_floor_work() {
+        let steps =
+            |from: f64, to: f64| (0..=20).map(move |k| from + f64::from(k) / 20.0 * (to - from));
+        for (fallen, rolled) in [(85.0, 180.0), (95.0, 90.0), (95.0, 180.0), (80.0, -90.0)] {
+            let body = Skeleton::default();
+            let mut angles = Angles::new(&body);
+            let mut at = |[side, roll]: [f64; 2]| {
+                let [side, roll] = [side, roll].map(f64::to_radians);
+                // Our z is OpenSim's x.
+                let root_rotation = so3::about(1, roll) * so3::about(2, side);
+                angles.of(&Pose { root_rotation, ..RestPose::N.pose() })[..3].to_vec()
+            };
+            steps(0.0, fallen).for_each(|side| drop(at([side, 0.0])));
+            steps(0.0, rolled).for_each(|roll| drop(at([fallen, roll])));
+            steps(fallen, 0.0).for_each(|side| drop(at([side, rolled])));
+            let upright = at([0.0, rolled]);
+            // But for whole turns.
+            for (angle, wanted) in upright.iter().zip([0.0, 0.0, rolled]) {
+                let turns = (angle - wanted) / 360.0;
+                assert!((turns - turns.round()).abs() < 0.01, "{fallen}: {upright:?}");
+            }
+        }
+        // A roll forward and a cartwheel go on without a jump.
+        for axis in [0, 2] {
+            let body = Skeleton::default();
+            let mut angles = Angles::new(&body);
+            let mut at = |degrees: f64| {
+                let root_rotation = so3::about(axis, degrees.to_radians());
+                angles.of(&Pose { root_rotation, ..RestPose::N.pose() })[..3].to_vec()
+            };
+            let all: Vec<Vec<f64>> = (0..180).map(|k| at(2.0 * f64::from(k))).collect();
+            let is_step =
+                |pair: &[Vec<f64>]| pair[0].iter().zip(&pair[1]).all(|(a, b)| (a - b).abs() < 5.0);
+            assert!(all.windows(2).all(is_step), "{axis}");
         }
     }
 

@@ -3,7 +3,7 @@
 //! | field | shape | content |
 //! |---|---|---|
 //! | `poses` | frames x 156 | the pelvis in the world, then 21 joints in their parents; hands are 0 |
-//! | `trans` | frames x 3 | the pelvis, metres |
+//! | `trans` | frames x 3 | the pelvis, metres; SMPL adds its own pelvis at rest (joint 0) to it, so subtract that first |
 //! | `betas` | 16 | 0: the body has its own rest pose, `rest_joints` |
 //! | `rest_joints` | 22 x 3 | joints of the T-pose from the pelvis, metres; y up and facing +z, as SMPL's template |
 //! | `times` | frames | seconds |

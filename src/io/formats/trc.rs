@@ -62,7 +62,8 @@ impl Header<'_> {
 
     fn number(&self, field: &'static str) -> Result<f64, TrajectoryError> {
         let value = self.value(field)?;
-        value.parse().map_err(|_| TrajectoryError::NotANumber { line: 3, cell: value.into() })
+        let number = value.parse().ok().filter(|number: &f64| number.is_finite());
+        number.ok_or_else(|| TrajectoryError::NotANumber { line: 3, cell: value.into() })
     }
 
     /// Length of the file's unit in metres.

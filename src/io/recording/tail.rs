@@ -7,10 +7,10 @@ use mcap::McapError;
 use mcap::records::{Record, Statistics, op};
 use mcap::sans_io::linear_reader::LinearReader;
 
-use super::RECORD_LIMIT;
 use super::chunk::{drive, options};
 use super::error::Damage;
 use super::message::Channel;
+use super::{INDEX_LIMIT, RECORD_LIMIT};
 
 /// Opcode and length of a record.
 pub(super) const RECORD_HEAD: u64 = 9;
@@ -85,7 +85,7 @@ pub(super) fn read_tail(
     if start == 0 {
         return Ok(Ok(None));
     }
-    if start <= DATA_END || start > footer_at || size - start > RECORD_LIMIT as u64 {
+    if start <= DATA_END || start > footer_at || size - start > INDEX_LIMIT {
         let reason = format!("the footer puts the index at byte {start}, where it cannot be");
         return damage(footer_at, &reason);
     }

@@ -96,8 +96,8 @@ pub struct WindowRow {
     pub cost: f64,
     /// Solve time, milliseconds.
     pub solve_ms: f64,
-    /// Whether the window is lost.
-    pub lost: bool,
+    /// Begin and end of what is lost, seconds.
+    pub lost_s: Option<[f64; 2]>,
 }
 
 /// The joints whose flexion is shown.
@@ -202,10 +202,10 @@ fn plots(data: &ReportData) -> Vec<Plot> {
 /// Time spans of lost windows; adjacent spans are merged.
 fn lost_intervals(windows: &[WindowRow]) -> Vec<(f64, f64)> {
     let mut spans: Vec<(f64, f64)> = Vec::new();
-    for window in windows.iter().filter(|window| window.lost) {
+    for [from, to] in windows.iter().filter_map(|window| window.lost_s) {
         match spans.last_mut() {
-            Some(last) if window.start_s <= last.1 + 1e-6 => last.1 = window.end_s,
-            _ => spans.push((window.start_s, window.end_s)),
+            Some(last) if from <= last.1 + 1e-6 => last.1 = to,
+            _ => spans.push((from, to)),
         }
     }
     spans
@@ -305,7 +305,8 @@ mod tests {
         let start_s = index as f64;
         let end_s = start_s + 1.0;
         let (latent_norm, iterations) = (4.0, 7);
-        WindowRow { start_s, end_s, latent_norm, iterations, cost: 10.0, solve_ms: 8.0, lost }
+        let lost_s = lost.then_some([start_s, end_s]);
+        WindowRow { start_s, end_s, latent_norm, iterations, cost: 10.0, solve_ms: 8.0, lost_s }
     }
 
     #[test]

@@ -321,7 +321,7 @@ impl Topics {
         }
     }
 
-    /// All topics that a node publishes; not the rig, which is also an input.
+    /// The topics of a node that solves one performer: what a replay compares.
     pub fn outputs(&self) -> [String; 9] {
         [
             self.pose(),

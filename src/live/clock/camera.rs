@@ -91,10 +91,10 @@ impl CameraClock {
         *self = Self { is_silent: true, ..self.anew() };
     }
 
-    /// A clock of which only the correction is known.
+    /// A clock of which only the correction is known, and what was reported.
     fn anew(&self) -> Self {
-        let Self { correction, is_corrected, .. } = *self;
-        Self { correction, is_corrected, ..Self::default() }
+        let Self { correction, is_corrected, is_reported, .. } = *self;
+        Self { correction, is_corrected, is_reported, ..Self::default() }
     }
 
     /// What is added to its capture times.
@@ -168,7 +168,7 @@ impl CameraClock {
     /// The time line continues with another offset.
     pub(crate) fn restart(&mut self, now: Timestamp, offset: Nanos) {
         let last = self.last.map(|_| (now - offset, now));
-        *self = Self { last, is_reported: self.is_reported, ..self.anew() };
+        *self = Self { last, ..self.anew() };
         self.note(now, now - offset, offset);
     }
 
@@ -223,7 +223,7 @@ impl CameraClock {
         Some((offset + changed + slope * at, slope * 1e-3))
     }
 
-    /// Drift, ns per second, if it is significant: half a minute of offsets lie on a line.
+    /// Drift, ns per second, if it is significant: offsets of 15 s or more lie on a line.
     pub(crate) fn drift(&self) -> Option<f64> {
         let Line { slope, spread, count, .. } = self.robust_line()?;
         let is_clear = count >= KEPT / 2 && slope.abs() * count as f64 > 6.0 * spread + 1e5;

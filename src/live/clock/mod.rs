@@ -190,7 +190,8 @@ impl Clock {
             at.max(c.step.map(|step| step.at)).is_some_and(|at| now - at < RECENT)
         };
         let active = self.cameras.iter().filter(is_active).count();
-        let known = self.cameras.iter().filter(|camera| camera.last.is_some()).count();
+        let is_heard = |camera: &&CameraClock| camera.last.is_some() && !camera.is_silent;
+        let known = self.cameras.iter().filter(is_heard).count();
         let is_better = stepped.len() * 2 == active
             && !self.base.is_some_and(Base::is_common)
             && Base::of(self.expected(camera).unwrap_or_default() + by).is_common();
@@ -364,6 +365,28 @@ mod tests {
         feed(&mut clock, 1, 60.0..61.0, |_| 1.002);
         clock.correct(1, Nanos::ZERO);
         feed(&mut clock, 1, 61.0..62.0, |_| 0.002);
+    }
+
+    #[test]
+    fn the_only_camera_that_sends_may_step() {
+        let mut clock = Clock::new(2);
+        for camera in 0..2 {
+            feed(&mut clock, camera, 0.0..3.0, |_| 0.002);
+        }
+        // The second one is silent, and the clock of the first steps ahead.
+        for second in 3..8 {
+            let seconds = f64::from(second)..f64::from(second + 1);
+            feed(&mut clock, 0, seconds, |_| 0.002);
+            clock.follow(at(f64::from(second + 1)));
+        }
+        let base = clock.base();
+        let step = |i: i32| {
+            let arrival = 8.0 + f64::from(i) / 50.0;
+            clock.arrive(0, at(arrival), at(arrival - 0.002 + 0.5))
+        };
+        let arrivals: Vec<Arrival> = (0..6).map(step).collect();
+        assert!(arrivals.contains(&Arrival::NewClock(Nanos::from_ms(-500))), "{arrivals:?}");
+        assert_eq!(clock.base() - base, Nanos::from_ms(-500));
     }
 
     #[test]

@@ -239,6 +239,11 @@ impl Core {
         self.calibration.as_ref().map(|calibration| &*calibration.bytes)
     }
 
+    /// The hash of that message.
+    pub(in crate::live) fn rig_hash(&self) -> Option<u64> {
+        self.calibration.as_ref().map(|calibration| calibration.hash)
+    }
+
     fn give(&mut self, input: stage::Input) {
         if let Some(stage) = &mut self.stage {
             stage.handle(input);

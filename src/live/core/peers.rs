@@ -33,7 +33,7 @@ pub(super) struct Peers {
     all: BTreeMap<String, Peer>,
     /// At the front: the status up to which each solver is counted. One that is away may come back.
     counted: BTreeMap<String, Status>,
-    /// At the front: what all solvers have counted since it started.
+    /// At the front: what all solvers have counted, also before it started.
     windows: WindowCounters,
     playout: PlayoutCounters,
     /// At the front: solvers that hang, as of the last second.

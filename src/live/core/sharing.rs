@@ -95,6 +95,15 @@ pub(super) struct Sharing {
 }
 
 impl Sharing {
+    /// The bodies of performers are forgotten, also for solvers that go on with them.
+    pub(super) fn forget(&mut self, is_forgotten: impl Fn(PerformerId) -> bool) {
+        let all = self.performers.iter_mut().filter(|(performer, _)| is_forgotten(**performer));
+        for state in all.filter_map(|(_, shared)| shared.state.as_mut()) {
+            (state.body, state.body_estimate) = (Vec::new(), None);
+            (state.past, state.ahead) = (Vec::new(), Vec::new());
+        }
+    }
+
     /// The name of a performer.
     pub(super) fn name_of(&self, performer: PerformerId) -> Option<&str> {
         self.performers.get(&performer).map(|shared| shared.name.as_str())
@@ -396,6 +405,11 @@ impl Core {
         let weights = &self.settings.weights;
         let has_weights = |state: &HandOver| state.past.iter().all(|k| k.weights == *weights);
         let goes_on = shared.state.as_ref().is_none_or(has_weights);
+        // It may be published before the performer is tracked here.
+        if let Some(state) = &mut shared.state {
+            state.solver.clone_from(&self.topics.actor);
+            state.released = false;
+        }
         // Nor can the motion go on after the performer returned, or the cameras' clock went back.
         let begin = recent.iter().rposition(|set| set.returns || set.enters);
         if let (Some(state), Some(oldest), Some(newest)) =

@@ -117,9 +117,7 @@ impl Core {
         if !keep.is_empty() && keep.len() == self.known_count() {
             return Err(format!("all performers are locked ({names}): unlock one, then reset"));
         }
-        if let Some(stage) = &mut self.stage {
-            stage.forget(|performer| !keep.contains(&performer.0));
-        }
+        self.forget(|performer| !keep.contains(&performer.0));
         let but = if names.is_empty() { String::new() } else { format!("; locked: {names}") };
         Ok(format!("the body is forgotten and estimated anew{but}"))
     }
@@ -130,10 +128,15 @@ impl Core {
         if self.label_of(number).is_some_and(|label| label.locked) {
             return Err(format!("{name} is locked: unlock it, then reset"));
         }
-        if let Some(stage) = &mut self.stage {
-            stage.forget(|performer| performer.0 == number);
-        }
+        self.forget(|performer| performer.0 == number);
         Ok(format!("the body of {name} is forgotten and estimated anew"))
+    }
+
+    fn forget(&mut self, is_forgotten: impl Fn(PerformerId) -> bool) {
+        self.sharing.forget(&is_forgotten);
+        if let Some(stage) = &mut self.stage {
+            stage.forget(is_forgotten);
+        }
     }
 
     /// The stage of several performers.

@@ -181,8 +181,10 @@ impl NodeLoop {
         let Message { topic, payload } = message;
         let is_rig = *topic == *self.rig_topic;
         let is_other = is_rig && self.core.is_other_rig(&payload);
+        let before = self.core.rig_hash();
         self.feed(Input::Message { topic, payload });
-        if is_rig {
+        // A solver also changes it with the front's keypoints.
+        if is_rig || self.core.rig_hash() != before {
             self.offer_rig();
         }
         if is_other {

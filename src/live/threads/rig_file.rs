@@ -1,9 +1,11 @@
 //! The calibration file: read at the start and whenever it changes, and written when a camera was mended.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use crate::io::formats::{Convention, ImportError, Up, read_calibration, write_calibration};
+use crate::io::formats::{
+    Convention, ImportError, Up, calibration_files, read_calibration, write_calibration,
+};
 use crate::io::stamp;
 use crate::io::wire::{Rig, encode};
 
@@ -12,11 +14,19 @@ pub struct RigFile {
     path: PathBuf,
     given: Convention,
     up: Up,
-    /// Of the last check, see [`stamp`].
-    stamp: Option<(SystemTime, u64)>,
+    /// Of its files at the last check.
+    stamps: Option<Stamps>,
     version: u64,
     /// Checks in a row that found no file.
     missing: u32,
+}
+
+/// For each file of a calibration, see [`stamp`].
+type Stamps = Vec<(SystemTime, u64)>;
+
+/// `None` if a file is missing.
+fn stamps(path: &Path) -> Option<Stamps> {
+    calibration_files(path).ok()?.iter().map(|file| stamp(file)).collect()
 }
 
 impl RigFile {
@@ -26,8 +36,9 @@ impl RigFile {
     /// # Errors
     /// As [`read_calibration`].
     pub fn open(path: PathBuf, given: Convention) -> Result<(Self, Vec<u8>), ImportError> {
-        let mut file = Self { path, given, up: Up::default(), stamp: None, version: 0, missing: 0 };
-        file.stamp = stamp(&file.path);
+        let mut file =
+            Self { path, given, up: Up::default(), stamps: None, version: 0, missing: 0 };
+        file.stamps = stamps(&file.path);
         let rig = file.read()?;
         file.version = rig.version;
         Ok((file, encode(&rig)))
@@ -43,17 +54,17 @@ impl RigFile {
     /// # Errors
     /// As [`read_calibration`]; the previous calibration stays valid.
     pub fn changed(&mut self) -> Result<Option<Vec<u8>>, ImportError> {
-        let stamp = stamp(&self.path);
+        let stamps = stamps(&self.path);
         // A missing file may just be being replaced; then the next check finds it.
-        self.missing = if stamp.is_some() { 0 } else { self.missing.saturating_add(1) };
+        self.missing = if stamps.is_some() { 0 } else { self.missing.saturating_add(1) };
         if self.missing == 2 {
             let path = self.path.display();
             tracing::warn!("{path} is gone; the calibration that was read from it stays in use");
         }
-        if stamp.is_none() || stamp == self.stamp {
+        if stamps.is_none() || stamps == self.stamps {
             return Ok(None);
         }
-        self.stamp = stamp;
+        self.stamps = stamps;
         let rig = self.read()?;
         if rig.version == self.version {
             return Ok(None);
@@ -85,7 +96,7 @@ impl RigFile {
                 "{path} does not hold the calibration that was in use; it is not overwritten"
             ));
         }
-        if stamp(&self.path) != self.stamp {
+        if stamps(&self.path) != self.stamps {
             return Err(format!("{path} was changed meanwhile; it is not overwritten"));
         }
         let cameras = rig.to_core().map_err(|error| error.to_string())?;
@@ -104,7 +115,7 @@ impl RigFile {
         let kept = std::fs::copy(&self.path, &before);
         kept.map_err(|error| format!("cannot write {}: {error}", before.display()))?;
         write_calibration(&self.path, &cameras, self.up).map_err(|error| error.to_string())?;
-        (self.stamp, self.version) = (stamp(&self.path), rig.version);
+        (self.stamps, self.version) = (stamps(&self.path), rig.version);
         Ok(format!("{path} is overwritten; the old calibration is in {}", before.display()))
     }
 }
@@ -112,6 +123,7 @@ impl RigFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::formats::write_opencv;
     use crate::io::wire::decode;
     use std::fs;
 
@@ -180,6 +192,54 @@ rotation = [0.1, 0.2, 0.3]
         let error = file.replace(&mended, 5).unwrap_err();
         assert!(error.contains("changed"), "{error}");
         assert!(fs::read_to_string(&path).unwrap().starts_with("[one]"));
+    }
+
+    /// EasyMocap's two files, with its usual names of cameras.
+    #[test]
+    fn a_calibration_of_two_files_that_are_not_ours_is_watched_and_not_changed() {
+        let folder = tempfile::tempdir().unwrap();
+        let [intri, extri] = ["intri.yml", "extri.yml"].map(|name| folder.path().join(name));
+        let toml = folder.path().join("rig.toml");
+        fs::write(&toml, calibration(1.0)).unwrap();
+        let mut rig = read_calibration(&toml, &Up::Y.into()).unwrap().rig;
+        for (camera, name) in rig.cameras.iter_mut().zip(["1", "2"]) {
+            camera.name = name.into();
+        }
+        let write = |path: &PathBuf, rig: &crate::core::camera::Rig, [one, other]: [&str; 2]| {
+            write_opencv(path, rig, Up::Y).unwrap();
+            let text = fs::read_to_string(path).unwrap();
+            let mut is_kept = true;
+            let lines = text.lines().filter(|line| {
+                let key = line.split('_').next().unwrap_or_default();
+                is_kept = if line.starts_with(' ') { is_kept } else { key != one && key != other };
+                is_kept
+            });
+            fs::write(path, lines.collect::<Vec<_>>().join("\n")).unwrap();
+        };
+        write(&intri, &rig, ["R", "T"]);
+        write(&extri, &rig, ["K", "dist"]);
+        let (mut file, first) = RigFile::open(intri.clone(), Up::Y.into()).unwrap();
+        assert_eq!(decode::<Rig>(&first).unwrap().to_core().unwrap().cameras[1].name, "2");
+        assert_eq!(file.changed().unwrap(), None);
+        rig.cameras[1].translation.x += 0.25;
+        write(&extri, &rig, ["K", "dist"]);
+        let second = decode::<Rig>(&file.changed().unwrap().unwrap()).unwrap();
+
+        let before = fs::read(&intri).unwrap();
+        let mended = folder.path().join("intri.mended.toml");
+        let mut version = second.version;
+        for _ in 0..2 {
+            rig.cameras[0].translation.x += 0.1;
+            let wire = Rig::from_core(&rig).with_own_version();
+            let said = file.replace(&wire, version).unwrap();
+            assert!(said.contains("intri.yml is not TOML and stays unchanged"), "{said}");
+            assert_eq!(fs::read(&intri).unwrap(), before);
+            let read = read_calibration(&mended, &Up::Y.into()).unwrap().rig;
+            let off = read.cameras[0].translation - rig.cameras[0].translation;
+            assert!(off.norm() < 1e-9, "{off}");
+            assert_eq!(file.changed().unwrap(), None);
+            version = wire.version;
+        }
     }
 
     #[test]

@@ -121,9 +121,12 @@ impl Row {
 }
 
 impl Run {
-    /// The scores of each method in the cases that all methods solved, with the cases' subjects.
+    /// The scores of each method in the cases that all methods solved, with the cases' subjects. A method that solved
+    /// none does not count.
     pub(super) fn common(&self) -> Vec<Vec<Scored<'_>>> {
-        let solved_by_all = |case: &usize| self.rows.iter().all(|row| row.results[*case].is_some());
+        let has_any = |row: &&Row| row.results.iter().any(Option::is_some);
+        let solved_by_all =
+            |case: &usize| self.rows.iter().filter(has_any).all(|row| row.results[*case].is_some());
         let cases: Vec<usize> = (0..self.cases.len()).filter(solved_by_all).collect();
         self.rows.iter().map(|row| scored(row, &self.cases, &cases)).collect()
     }

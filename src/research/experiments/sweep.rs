@@ -34,7 +34,7 @@ pub struct Axis {
     pub name: &'static str,
     /// The method's default.
     pub start: f64,
-    /// Factors of the start value.
+    /// Factors of the best value so far.
     pub factors: &'static [f64],
 }
 
@@ -117,7 +117,7 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
             ..plain.times(of("root stiffness"))
         };
         let cost = crate::core::cost::Config { prior, scale_px, stiffness, ..config.cost };
-        Box::new(Windows::new("", Config { cost, ..config }))
+        Box::new(method.with_config(Config { cost, ..config }))
     };
     let made: Box<dyn Method> = match method {
         "triangulation" => {

@@ -42,7 +42,7 @@ pub use joints::{COORDINATES, Joints};
 pub use live::LiveTracker;
 pub use muvs::{MuVs, MuVsWeights};
 pub use path::{FramePath, State, Term};
-pub use registry::{LADDER, NAMES, all, named};
+pub use registry::{LADDER, NAMES, named};
 pub use slahmr::{Slahmr, SlahmrWeights};
 pub use solved::{Body, Motion, Solved};
 pub use start::{Start, start};

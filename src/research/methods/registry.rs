@@ -38,11 +38,6 @@ pub const LADDER: &[&str] = &[
     "live",
 ];
 
-/// Every method with its default weights, in the order of [`NAMES`].
-pub fn all() -> Vec<Box<dyn Method>> {
-    NAMES.iter().filter_map(|name| named(name)).collect()
-}
-
 /// The method of that name with its default weights; `None` if the name is unknown. `dct-300` is DCT
 /// with ten times its iterations, `live-50` the live tracker at a latency of 50 ms.
 pub fn named(name: &str) -> Option<Box<dyn Method>> {

@@ -10,7 +10,7 @@ use crate::core::optimise::OptimiserKind;
 use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
 use crate::metrics::FollowedSums;
 
-/// Prior of a keyframe and loss scale, pixels, as published in \[Albanis 2023\].
+/// Prior of a keyframe as published in \[Albanis 2023\], and a loss scale, pixels, which the paper does not name.
 const PUBLISHED: (f64, f64) = (10.76, 100.0);
 /// Iterations and relative change of the cost that let Levenberg-Marquardt converge.
 const CONVERGED: (usize, f64) = (100, 1e-6);
@@ -32,6 +32,11 @@ impl Windows {
     /// The tracker with a body that it finds in one pass, as the live node does.
     pub fn with_own_body(self) -> Self {
         Self { own_body: true, ..self }
+    }
+
+    /// The same with other settings.
+    pub(crate) fn with_config(self, config: Config) -> Self {
+        Self { config, ..self }
     }
 
     /// The tracker's settings.

@@ -1,12 +1,8 @@
 //! Held-out metrics of a model, by subject.
 
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-
 use super::corpus::{Clip, POSE, PoseVector, subjects};
 use super::latent::{CODE, Slerp};
 use super::loss::{Locals, Tree, locals_of};
-use super::mlp::fill_normal;
 use super::model::Model;
 use crate::core::body::{BODY_JOINTS, JOINTS, Skeleton};
 use crate::core::manifold::LATENT;
@@ -14,11 +10,6 @@ use crate::core::so3;
 
 /// Frames between the two poses whose codes are interpolated.
 pub const SPAN: usize = 10;
-
-/// Number of codes drawn in [`prior_outside`].
-const DRAWS: usize = 2000;
-/// Tolerance on the largest angle of a joint, radians.
-const TOLERANCE: f64 = 0.087;
 
 /// Number of poses that the networks process at once.
 const GROUP: usize = 512;
@@ -189,30 +180,6 @@ fn joint_distance(tree: &Tree, a: &Locals, b: &Locals) -> f64 {
     let (a, b) = (tree.place(a), tree.place(b));
     let distances = a.positions.iter().zip(&b.positions).map(|(a, b)| f64::from((a - b).norm()));
     distances.sum::<f64>() / JOINTS as f64
-}
-
-/// Share of joint rotations, decoded from codes of N(0, I), whose angle from the rest pose exceeds
-/// the largest angle of the same joint in `clips` by more than 5 degrees.
-pub fn prior_outside(model: &Model, clips: &[Clip], seed: u64) -> f64 {
-    let mut limits = [0.0f64; BODY_JOINTS];
-    for pose in clips.iter().flat_map(|clip| &clip.poses) {
-        for (limit, angle) in limits.iter_mut().zip(angles(&locals_of(pose))) {
-            *limit = limit.max(angle);
-        }
-    }
-    let mut codes = vec![[0.0; LATENT]; DRAWS];
-    fill_normal(codes.as_flattened_mut(), &mut ChaCha8Rng::seed_from_u64(seed));
-    let poses = decode(model, &codes);
-    let outside = poses.iter().map(|locals| {
-        let beyond = angles(locals).into_iter().zip(limits);
-        beyond.filter(|(angle, limit)| angle > &(limit + TOLERANCE)).count()
-    });
-    outside.sum::<usize>() as f64 / (DRAWS * BODY_JOINTS) as f64
-}
-
-/// The angle of each rotation, radians: cos = (trace - 1) / 2.
-fn angles(locals: &Locals) -> [f64; BODY_JOINTS] {
-    locals.map(|local| (0.5 * (f64::from(local.trace()) - 1.0)).clamp(-1.0, 1.0).acos())
 }
 
 /// Mean codes of poses.

@@ -110,9 +110,6 @@ pub struct Progress {
 pub struct Report {
     /// Held-out metrics by subject, then `all`; empty without test subjects.
     pub held_out: Vec<HeldOutErrors>,
-    /// Share of joint rotations decoded from codes of N(0, I) whose angle exceeds the largest angle
-    /// of that joint in the training clips.
-    pub prior_outside: f64,
     /// Number of training frames.
     pub frames: usize,
     /// Number of training clips.
@@ -142,7 +139,6 @@ pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Repo
     file::write(&options.out, &model, &metadata(options, &training, &held_out, &command))?;
     Ok(Report {
         held_out,
-        prior_outside: evaluate::prior_outside(&model, &training, options.seed),
         frames: training.iter().map(|clip| clip.poses.len()).sum(),
         clips: training.len(),
         parameters: model.parameters.len(),

@@ -170,7 +170,8 @@ function tick() {
   showEvents();
   showTimeline();
   const [start, end] = source.span;
-  const first = store.performers.get(view.followed ?? people[0]?.name);
+  const shown = people.find(({ name }) => name === view.followed) ?? people[0];
+  const first = store.performers.get(shown?.name);
   charts.draw(store, source, chosen.time, first);
   $("empty").textContent = emptyState(people);
   $("play").textContent = chosen.playing ? "Pause" : isLive ? "Resume" : "Play";
@@ -340,7 +341,7 @@ let [pressedTick, listedTick] = [undefined, undefined];
 function showEvents() {
   const past = isLive && !pressedTick ? store.events : store.events.filter(({ at }) => at <= chosen.time + 1);
   const list = (store.events.length <= 60 ? store.events : past).slice(-60).reverse();
-  const key = `${store.events.length} ${past.length} ${list[0]?.at} ${pressedTick?.at}`;
+  const key = `${store.events.length} ${list.length} ${list[0]?.at} ${pressedTick?.at}`;
   if ($("events").dataset.key === key) return;
   $("events").dataset.key = key;
   $("events").replaceChildren(...list.map((event) => {

@@ -27,6 +27,9 @@ const MEANINGS = {
   "not shown": "messages that did not come here in time",
 };
 
+/** For how long messages count that did not come, ms. */
+const SLOW = 60_000;
+
 export class Figures {
   constructor(list) {
     this.list = list;
@@ -59,7 +62,7 @@ export class Figures {
       set(what, `${p50.toFixed(1)} / ${p99.toFixed(1)} ms`, level);
     }
     if (store.unreadable > 0) set("not readable", `${store.unreadable} messages`, "warn");
-    if (store.dropped > 0) set("not shown", `${store.dropped} messages: this page is too slow`, "warn");
+    if (performance.now() - store.droppedAt < SLOW) set("not shown", `${store.dropped} messages: this page is too slow`, "warn");
     const clock = { fractionalSecondDigits: 2, hour: "2-digit", minute: "2-digit", second: "2-digit" };
     const captured = timeOfDay(store.nanoseconds(shown), clock);
     if (people[0]?.timecode) set("timecode", people[0].timecode);

@@ -69,7 +69,7 @@ export function recent(history, read) {
   return counts[1] - counts[0];
 }
 
-/** The events of a camera that still count: those of the last time, silence until it is back, and the last of each lasting kind. */
+/** The events of a camera that still count: those of the last time (by a clock that may have jumped), silence until it is back, and the last of each lasting kind. */
 function eventsOf(store, name, time) {
   const now = time === Infinity ? (store.historyAt(time).at(-1)?.seconds ?? store.newest) : time;
   const mine = store.events.filter(({ camera, at }) => camera === name && at <= time);
@@ -78,7 +78,7 @@ function eventsOf(store, name, time) {
   const run = store.historyAt(now).at(-1)?.status.run_id;
   const isOfRun = (event) => event && (event.kind === "camera_moved" || !event.run || run === undefined || event.run === run);
   const [lasting, returned] = [LASTING.map(last).filter(isOfRun), last("returned")?.at ?? -Infinity];
-  const isOver = ({ kind, at }) => LASTING.includes(kind) || (kind === "silent" && at <= returned) || now - at >= KEPT;
+  const isOver = ({ kind, at }) => LASTING.includes(kind) || (kind === "silent" && at <= returned) || Math.abs(now - at) >= KEPT;
   return mine.filter((event) => lasting.includes(event) || !isOver(event));
 }
 
@@ -170,7 +170,7 @@ export const isNodeSilent = (store) => store.statusCame !== undefined && perform
 export function strangers(store) {
   const now = store.historyAt(Infinity).at(-1)?.seconds ?? store.newest;
   const isKnown = (name) => store.rig.cameras.some((camera) => camera.name === name);
-  const told = store.events.slice(-200).filter(({ kind, camera, at }) => kind === "unusable" && camera && now - at < KEPT);
+  const told = store.events.slice(-200).filter(({ kind, camera, at }) => kind === "unusable" && camera && Math.abs(now - at) < KEPT);
   return [...new Set(told.map(({ camera }) => camera))].filter((name) => !isKnown(name));
 }
 
@@ -197,7 +197,7 @@ export function nodeLight(store, connected) {
     const clock = OF_CLOCK[history.at(-1).status.clock];
     if (clock) light.add("warn", clock);
     const full = recent(history, (status) => status.queue_dropped);
-    if (full > 0) light.add("bad", `${full} messages dropped: the queue is full`);
+    if (full > 0) light.add("bad", `${full} messages were not read: too many, or too large`);
     for (const [kind, words] of Object.entries(OF_NODE)) {
       const count = recent(history, ({ events }) => events.find((one) => one.kind === kind)?.count);
       if (count > 0) light.add(levelOf({ kind, detail: "" }), words);

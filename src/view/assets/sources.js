@@ -43,7 +43,7 @@ export class Live {
       for (const frame of frames(data)) this.store.take(frame, this.stage);
     };
     socket.onclose = () => {
-      this.connected = false;
+      this.lost();
       this.ask();
       setTimeout(() => this.open(), this.wait);
       this.wait = Math.min(2 * this.wait, 4000);
@@ -75,8 +75,13 @@ export class Live {
     if (!this.connected || now - this.heard < SILENT) return;
     this.socket.onclose = this.socket.onmessage = null;
     this.socket.close();
-    this.connected = false;
+    this.lost();
     this.open();
+  }
+
+  lost() {
+    this.connected = false;
+    this.receivers = this.received = undefined;
   }
 
   /** What the server says of the bus. */
@@ -87,7 +92,7 @@ export class Live {
       this.ask();
     }
     if (error !== undefined) this.error = error;
-    if (dropped !== undefined) this.store.dropped = dropped;
+    if (dropped !== undefined) [this.store.dropped, this.store.droppedAt] = [dropped, performance.now()];
     if (receivers !== undefined) [this.receivers, this.received] = [receivers, received ?? undefined];
   }
 

@@ -103,7 +103,7 @@ export class Store {
     this.apart = Infinity;
     this.unreadable = 0;
     this.states = new Map();
-    this.dropped = 0;
+    [this.dropped, this.droppedAt] = [0, undefined];
     /** The cameras that other stages have, by stage. */
     this.otherStages = new Map();
     /** Name of the last take that was begun or ended, by whomever; and the answers to commands. */
@@ -231,13 +231,17 @@ export class Store {
     if (channel === "skeleton") one.skeleton = readNew("Skeleton", one.skeleton);
     else {
       const pose = read("Pose");
+      // Due times are of the cameras' clock.
+      const { status } = this.statuses.items.at(-1) ?? {};
+      const offset = status && 1e3 * (status.clock_offset_s ?? 0);
+      const isTimed = pose.due_time_ns !== undefined && offset !== undefined;
       const item = {
         joints: Float32Array.from(pose.joint_positions_m),
         rotations: Float32Array.from([...pose.root_rotation, ...pose.local_rotations]),
         state: STATES[pose.state],
         timecode: pose.timecode ?? "",
-        due: pose.due_time_ns === undefined ? undefined : Number(pose.due_time_ns / 1000n) / 1e3,
-        late: pose.due_time_ns === undefined ? undefined : Number(arrival - pose.due_time_ns) / 1e6,
+        due: isTimed ? Number(pose.due_time_ns / 1000n) / 1e3 + offset : undefined,
+        late: isTimed ? Number(arrival - pose.due_time_ns) / 1e6 - offset : undefined,
       };
       const series = channel === "pose" ? one.poses : one.provisional;
       const seconds = this.seconds(pose.capture_time_ns ?? 0n);
@@ -316,7 +320,7 @@ export class Store {
   addEvent(event) {
     // After each reconnection the last ones come again.
     const same = (one) => ["at", "kind", "camera", "actor", "detail", "count", "run"].every((key) => one[key] === event[key]);
-    if (this.jump < Infinity && this.events.slice(-1000).some(same)) return;
+    if (this.jump < Infinity && this.events.some(same)) return;
     this.events.push(event);
     if (this.events.length > 20_000) this.events.shift();
   }
@@ -325,7 +329,11 @@ export class Store {
   get newest() {
     const last = (all) => all.map((series) => series.last).filter((time) => time !== undefined).sort((a, b) => a - b);
     const poses = last([...this.performers.values()].map((one) => one.poses)).at(-1) ?? -Infinity;
-    const cameras = last([...this.keypoints.values()]);
+    // Of cameras that are out of sight none come.
+    const now = performance.now();
+    const comes = ([name]) => this.jump === Infinity || now - this.came.get(name) < 2000;
+    const coming = [...this.keypoints].filter(comes);
+    const cameras = last((coming.length > 0 ? coming : [...this.keypoints]).map(([, series]) => series));
     const keypoints = cameras[cameras.length >> 1] ?? -Infinity;
     return keypoints - poses > 2 ? keypoints : poses;
   }

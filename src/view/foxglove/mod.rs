@@ -18,6 +18,7 @@
 mod live;
 mod shown;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use std::sync::Arc;
@@ -136,12 +137,16 @@ impl Scene {
                 return true;
             }
             Message::Keypoints(frame) => {
-                let is_camera = |rig: &Rig| rig.index_of(&frame.camera).is_some();
-                if !self.rig.as_ref().is_some_and(is_camera) {
-                    return false;
-                }
+                let camera =
+                    |rig: &Rig| rig.index_of(&frame.camera).map(|at| rig.cameras[at].time_offset);
+                let Some(offset) = self.rig.as_ref().and_then(camera) else { return false };
+                let capture_time_ns = frame.capture_time_ns.saturating_add(offset.ns());
+                let frame = match offset {
+                    Nanos::ZERO => Cow::Borrowed(frame),
+                    _ => Cow::Owned(KeypointFrame { capture_time_ns, ..frame.clone() }),
+                };
                 let at = Timestamp::from_ns(frame.capture_time_ns);
-                self.put_or_hold(frame, at, sink);
+                self.put_or_hold(&frame, at, sink);
                 self.publish_cameras(at, sink);
                 return true;
             }

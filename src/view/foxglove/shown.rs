@@ -155,7 +155,9 @@ pub(super) fn cameras(rig: &Rig, at: Timestamp) -> SceneUpdate {
     let one = |camera: &Camera| {
         let (centre, color) = (camera.centre_in_world(), colour(GREY, 1.0));
         let [width, height] = [camera.width, camera.height].map(f64::from);
-        let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]];
+        // The centre of the first pixel is (0, 0).
+        let [right, below] = [width - 0.5, height - 0.5];
+        let corners = [[-0.5, -0.5], [right, -0.5], [right, below], [-0.5, below]];
         // Some wide lenses do not reach the corners of the image.
         let ends = corners.map(|[x, y]| Some(centre + CAMERA * camera.ray(&Vector2::new(x, y))?));
         let edges = (0..4).flat_map(|k| {

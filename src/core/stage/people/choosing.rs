@@ -77,7 +77,10 @@ impl People {
     pub(super) fn make_bystander(&mut self, index: usize, place: usize) {
         self.absent[place].make_unwanted();
         let member = &mut self.members[index];
-        (member.role, member.wish) = (Role::Bystander, Wish::Unwanted);
+        // Somebody who is to be followed waits for a place.
+        let waits = member.wish == Wish::Wanted && !matches!(member.role, Role::Performer(_));
+        member.wish = if waits { Wish::Wanted } else { Wish::Unwanted };
+        member.role = Role::Bystander;
         member.was = Some(self.absent[place].performer);
     }
 

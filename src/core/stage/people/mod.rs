@@ -203,8 +203,9 @@ impl People {
 
     /// The bystander who was dropped and is this performer, if it is in view.
     fn dropped(&self, one: &Absent) -> Option<&Person> {
-        let is_it =
-            |member: &&Member| member.was == Some(one.performer) && member.wish == Wish::Unwanted;
+        let is_it = |member: &&Member| {
+            member.was == Some(one.performer) && matches!(member.role, Role::Bystander)
+        };
         // Those of another day who are not wanted were never here.
         let member = self.members.iter().find(is_it).filter(|_| one.person.was_here());
         member.map(|member| &member.person)
@@ -337,7 +338,8 @@ impl People {
         owners
     }
 
-    /// A performer who was hidden is lost if it turns out that somebody else is followed in its place.
+    /// A performer who was hidden is lost if it turns out that somebody else is followed in its place. The same of those
+    /// who were dropped.
     fn tell_from_hidden(&mut self) {
         for member in &mut self.members {
             let Some(before) = member.person.settle(UNDECIDED) else { continue };
@@ -346,9 +348,14 @@ impl People {
                 let merged = self.absent.iter_mut().filter(|one| one.merged == Some(performer));
                 merged.for_each(|one| one.merged = None);
                 self.absent.push(Absent::new(performer, before));
-                member.role = Role::Candidate(Vec::new());
-                (member.wish, member.was) = (Wish::Open, None);
+            } else if let Some(was) = member.was {
+                let dropped = self.absent.iter_mut().find(|one| one.performer == was);
+                dropped.into_iter().for_each(|one| one.person = before.clone());
+            } else {
+                continue;
             }
+            member.role = Role::Candidate(Vec::new());
+            (member.wish, member.was) = (Wish::Open, None);
         }
     }
 
@@ -356,13 +363,14 @@ impl People {
     fn drop_doubles(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
         let places: Vec<_> = self.members.iter().map(|m| m.person.predicted(at)).collect();
         let is_hidden: Vec<_> = self.members.iter().map(|m| m.person.is_hidden(at)).collect();
-        let rank = |member: &Member| match member.role {
-            Role::Performer(performer) => performer,
-            Role::Bystander => usize::MAX - 1,
-            Role::Candidate(_) => usize::MAX,
+        // Numbers are in the order of entry, unless they are used again.
+        let rank = |Member { role, person, .. }: &Member| match *role {
+            Role::Performer(number) if self.reuses_numbers => (0, person.first, number),
+            Role::Performer(number) => (0, Timestamp::default(), number),
+            Role::Bystander => (1, person.first, usize::MAX),
+            Role::Candidate(_) => (2, person.first, usize::MAX),
         };
-        let ranks: Vec<(usize, Timestamp)> =
-            self.members.iter().map(|m| (rank(m), m.person.first)).collect();
+        let ranks: Vec<_> = self.members.iter().map(rank).collect();
         let mut dropped = Vec::new();
         for index in 0..self.members.len() {
             let is_double = |other: &usize| {
@@ -379,9 +387,11 @@ impl People {
                 continue;
             };
             if at - *member.close_since.get_or_insert(at) > SAME_TIME {
-                dropped.push((index, ranks[older].0));
+                // Nobody but a performer is older than a performer.
+                let older = ranks[older].2;
+                dropped.push((index, older));
                 if let Role::Performer(performer) = member.role {
-                    changes.push(Change::Merged(performer, ranks[older].0));
+                    changes.push(Change::Merged(performer, older));
                 }
             }
         }
@@ -459,7 +469,7 @@ impl Person {
         let own = |(frame, assigned): (&Detections, &Assigned)| {
             let person = assigned.person(frame)?;
             let sight: Sight = (frame.camera, pixels_of(frame, &person, gates.min_confidence));
-            Some((sight, (frame.camera, person.id)))
+            Some((sight, (frame.camera, person.id.filter(|_| assigned.is_owned()))))
         };
         let (views, ids): (Vec<_>, Vec<_>) = frames.iter().zip(assigned).filter_map(own).unzip();
         let owned = frames.iter().zip(assigned).filter(|(_, assigned)| assigned.is_owned());

@@ -28,6 +28,8 @@ const AT_ONCE: (Nanos, f64) = (Nanos::from_ms(500), 0.25);
 const SAME_BODY: f64 = 1.7;
 /// The same where a performer is expected: one is missed near there, or all who may come are known.
 const EXPECTED_BODY: f64 = 2.5;
+/// Two performers may be one person if a candidate differs from them by amounts that are as near.
+const DOUBLE: f64 = 0.5;
 /// Up to this difference, more is to be measured.
 const DOUBTFUL_BODY: f64 = 3.0;
 
@@ -56,7 +58,8 @@ impl People {
             self.members.iter().any(|m| matches!(m.role, Role::Performer(own) if own == performer))
         };
         one.is_unwanted
-            || one.merged.is_none_or(is_there) && (one.keeps_place() || self.has_place())
+            || (one.was_followed() || one.merged.is_none_or(is_there))
+                && (one.keeps_place() || self.has_place())
     }
 
     /// Candidates become performers or bystanders: who is known best first, then the largest.
@@ -285,15 +288,28 @@ impl People {
             is_possible.then_some((place, difference))
         });
         let alike = differences.filter(|(_, difference)| *difference < DOUBTFUL_BODY);
-        alike.min_by(|a, b| a.1.total_cmp(&b.1))
+        let alike: Vec<(usize, f64)> = alike.collect();
+        // Who was merged with somebody else who is away may have been the same person.
+        let is_double = |&&(place, difference): &&(usize, f64)| {
+            let into = self.absent[place].merged;
+            alike.iter().any(|&(other, of_other)| {
+                into == Some(self.absent[other].performer) && of_other < difference + DOUBLE
+            })
+        };
+        let others = alike.iter().filter(|one| !is_double(one));
+        others.min_by(|a, b| a.1.total_cmp(&b.1)).copied()
     }
 }
 
 impl Absent {
     /// Whether nobody else may have the place.
     pub(super) fn keeps_place(&self) -> bool {
-        let is_one = || self.person.seen - self.person.first > FOLLOWED;
-        !self.has_left && (self.merged.is_none() || is_one())
+        !self.has_left && (self.merged.is_none() || self.was_followed())
+    }
+
+    /// Whether this was a person of its own for a while.
+    fn was_followed(&self) -> bool {
+        self.person.seen - self.person.first > FOLLOWED
     }
 
     /// Whether the performer was lost together with others, and a candidate is soon where it may have walked to.

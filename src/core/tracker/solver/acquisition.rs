@@ -68,8 +68,8 @@ impl Solver {
         let spacing = frames.div_ceil(SHAPE_KEYFRAMES).max(config.keyframe());
         let steps = frames.div_ceil(spacing) as i64;
         let step = ((job.end - job.start) / steps).max(Nanos::new(1));
-        let frames = spacing as f64;
-        let stride = job.frames.len().div_ceil(SHAPE_FRAMES).max(job.effort.stride);
+        let stride = job.frames.len().div_ceil(SHAPE_FRAMES).max(job.effort.stride).max(1);
+        let frames = spacing as f64 / stride as f64;
         let used = job.every(stride).filter(|frame| frame.capture >= first.capture);
         let mut observations = self.follow(job, (used, stride), points, &first.keyframe, rough);
         // Only the shape and the first keyframe are kept, so few keyframes and no stiffness are

@@ -1,5 +1,6 @@
 //! Leaves wrong minima: a fresh fit replaces a solved window that does not fit its detections.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::Solver;
@@ -9,6 +10,7 @@ use crate::core::body::{BodyPoint, Skeleton};
 use crate::core::cost::{FrameObservations, Loss};
 use crate::core::points::median;
 use crate::core::tracker::job::{Job, Outcome};
+use crate::core::tracker::noise::Residual;
 use crate::core::tracker::verdict::residuals;
 
 /// A point this many scales of the loss from a view is far from it.
@@ -32,7 +34,7 @@ impl Solver {
         let is_due = every > 0 && job.window.is_multiple_of(every);
         if !is_due
             || !job.effort.has_time(&self.config)
-            || self.misfit(job, points, solved, observations).1 == 0
+            || !self.is_far(job, points, solved, observations)
         {
             return None;
         }
@@ -41,35 +43,52 @@ impl Solver {
         let at = first.capture;
         let there = between(observations, [at - job.half_period(), at + job.half_period()]);
         let fresh = Known { past: std::slice::from_ref(first), ahead: &[], ..solved };
-        let [known, fresh] = [solved, fresh].map(|path| self.misfit(job, points, path, there).0);
+        let [known, fresh] = [solved, fresh].map(|path| self.misfit(job, points, path, there));
         (fresh < BETTER * known).then_some(found)
     }
 
-    /// The reprojection cost of a window, and its number of points that lie far from two views or
-    /// more in the median.
+    /// The reprojection cost of a window.
     fn misfit(
         &self,
         job: &Job,
         points: &[BodyPoint],
         solved: Known,
         observations: &[FrameObservations],
-    ) -> (f64, usize) {
+    ) -> f64 {
         let cost = self.cost(job);
         let loss = Loss::new(cost.loss, cost.scale_px);
+        let all = self.residuals_of(job, points, solved, observations);
+        all.iter().map(|r| r.confidence * loss.rho(r.error_px * r.error_px).0).sum()
+    }
+
+    /// Whether some point lies far from two views or more in the median.
+    fn is_far(
+        &self,
+        job: &Job,
+        points: &[BodyPoint],
+        solved: Known,
+        observations: &[FrameObservations],
+    ) -> bool {
+        let far = FAR * self.cost(job).scale_px;
+        let mut errors: BTreeMap<(usize, usize), Vec<f64>> = BTreeMap::new();
+        for r in self.residuals_of(job, points, solved, observations) {
+            errors.entry((r.point, r.camera)).or_default().push(r.error_px);
+        }
+        let is_far = |(&(point, _), errors): (&(usize, usize), &mut Vec<f64>)| {
+            median(errors).filter(|error| *error > far).map(|_| point)
+        };
+        let far: Vec<usize> = errors.iter_mut().filter_map(is_far).collect();
+        far.windows(2).any(|pair| pair[0] == pair[1])
+    }
+
+    fn residuals_of(
+        &self,
+        job: &Job,
+        points: &[BodyPoint],
+        solved: Known,
+        observations: &[FrameObservations],
+    ) -> Vec<Residual> {
         let poses = self.poses_at(solved, observations.iter().map(|frame| frame.capture));
-        let all = residuals(observations.iter().zip(&poses), points, &job.rig, solved.skeleton);
-        let total = all.iter().map(|r| r.confidence * loss.rho(r.error_px * r.error_px).0).sum();
-        let is_far = |point: usize, camera: usize| {
-            let mut errors: Vec<f64> = all
-                .iter()
-                .filter(|r| r.point == point && r.camera == camera)
-                .map(|r| r.error_px)
-                .collect();
-            median(&mut errors).is_some_and(|error| error > FAR * cost.scale_px)
-        };
-        let far = |point: &&BodyPoint| {
-            (0..job.rig.cameras.len()).filter(|&camera| is_far(point.index, camera)).count() >= 2
-        };
-        (total, points.iter().filter(far).count())
+        residuals(observations.iter().zip(&poses), points, &job.rig, solved.skeleton)
     }
 }

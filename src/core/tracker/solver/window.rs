@@ -20,7 +20,7 @@ use crate::core::tracker::verdict::{hidden, residuals, verdict};
 
 /// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
-/// Share of the previous window in a window's first keyframe.
+/// The share of the previous window in the first keyframes falls from this to 0.
 const BLEND: f64 = 0.5;
 /// Smallest variance of the detections, relative to the reference level, when the body is estimated:
 /// much of their error is constant.

@@ -63,8 +63,7 @@ impl Bvh {
     /// Parses the text of a file with one root.
     pub fn parse(text: &str) -> Result<Self, BvhError> {
         let mut lines = Lines::new(text);
-        let joints = hierarchy(&mut lines)?;
-        let channels = joints.iter().map(|joint| joint.channels.len()).sum();
+        let Self { joints, channels, .. } = Self::without_frames(hierarchy(&mut lines)?);
         lines.keyword("MOTION", "`MOTION`")?;
         lines.keyword("Frames:", "`Frames:`")?;
         let frames: usize = lines.number("the number of frames")?;
@@ -76,6 +75,19 @@ impl Bvh {
         }
         let values = motion(&mut lines, channels, frames)?;
         Ok(Self { joints, frame_time, values, channels, frames })
+    }
+
+    /// Parses the hierarchy alone; the result has no frames.
+    ///
+    /// # Errors
+    /// As [`Bvh::parse`], but the motion may be missing or wrong.
+    pub fn parse_hierarchy(text: &str) -> Result<Self, BvhError> {
+        hierarchy(&mut Lines::new(text)).map(Self::without_frames)
+    }
+
+    fn without_frames(joints: Vec<BvhJoint>) -> Self {
+        let channels = joints.iter().map(|joint| joint.channels.len()).sum();
+        Self { joints, frame_time: 0.0, values: Vec::new(), channels, frames: 0 }
     }
 
     /// Joints, parents before children.

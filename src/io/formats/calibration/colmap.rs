@@ -3,7 +3,7 @@
 //! An image has the rotation (quaternion w x y z) and the translation from the world to the camera, in the
 //! reconstruction's own unit. The centre of the first pixel is (0.5, 0.5).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
@@ -39,6 +39,15 @@ pub(super) fn cameras(cameras: &str, images: &str) -> Result<Vec<Calibrated>, Fa
             let fix = "put an empty line after each image without points";
             return Err(Fault::Text(format!("images.txt line {next}: {what}; {fix}")));
         }
+    }
+    // cam01/0001.png is of cam01, as cam01.png; images/cam01.png too, if all images are in that folder.
+    let folder = |camera: &Calibrated| Path::new(&camera.name).parent().map(Path::to_owned);
+    let folders: BTreeSet<_> = all.iter().map(folder).collect();
+    for camera in &mut all {
+        let path = Path::new(&camera.name);
+        let own = path.parent().and_then(Path::file_name).filter(|_| folders.len() > 1);
+        let name = own.or_else(|| path.file_stem()).unwrap_or_default();
+        camera.name = name.to_string_lossy().into_owned();
     }
     all.sort_by_cached_key(|camera| natural_key(&camera.name));
     // Images of a camera that stands still.
@@ -97,7 +106,7 @@ fn inside(line: usize, text: &str) -> Result<(&str, Inside), Fault> {
     Ok((id, (size, Matrix3::new(fx, 0.0, cx - 0.5, 0.0, fy, cy - 0.5, 0.0, 0.0, 1.0), lens)))
 }
 
-/// `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`
+/// `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`; the camera's name is the image's.
 fn image(line: usize, text: &str, inside: &BTreeMap<&str, Inside>) -> Result<Calibrated, Fault> {
     let fault = |what: &str| Fault::Text(format!("images.txt line {line}: {what}"));
     // The name may have spaces.
@@ -112,12 +121,8 @@ fn image(line: usize, text: &str, inside: &BTreeMap<&str, Inside>) -> Result<Cal
     let known = inside.get(id);
     let (size, matrix, lens) =
         *known.ok_or_else(|| fault(&format!("no camera {id} in cameras.txt")))?;
-    // cam01/0001.png is of cam01; cam01.png too.
-    let path = Path::new(path);
-    let folder = path.parent().and_then(Path::file_name);
-    let name = folder.or_else(|| path.file_stem()).unwrap_or_default();
     Ok(Calibrated {
-        name: name.to_string_lossy().into_owned(),
+        name: path.to_owned(),
         size: Some(size),
         matrix,
         lens,

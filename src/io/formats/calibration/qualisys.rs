@@ -53,7 +53,13 @@ fn camera(node: &Node) -> Result<Calibrated, Fault> {
     let (left, top) = (view.number("left")?, view.number("top")?);
     let size = [view.number("right")? - left + 1.0, view.number("bottom")? - top + 1.0];
     let (rotation, translation) = extrinsics(&fields("transform")?)?;
-    let (matrix, lens) = intrinsics(&fields("intrinsic")?, left, top)?;
+    let (mut matrix, lens) = intrinsics(&fields("intrinsic")?, left, top)?;
+    // The file may have pixels of 1080p, whatever the resolution of the videos is, such as 720p.
+    let lines = node.attribute("video_resolution").and_then(|text| text.strip_suffix('p'));
+    let lines = lines.and_then(|lines| lines.parse::<f64>().ok());
+    let scale = lines.filter(|lines| size[1] > 1.1 * lines).map_or(1.0, |lines| lines / 1080.0);
+    matrix.fixed_rows_mut::<2>(0).scale_mut(scale);
+    let size = size.map(|px| (px * scale).round());
     let (size, time_offset) = (Some(size_px(&name, size)?), Nanos::ZERO);
     Ok(Calibrated { size, name, matrix, lens, rotation, translation, time_offset })
 }

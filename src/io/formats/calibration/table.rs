@@ -92,19 +92,21 @@ impl Tables {
     /// Adds the cameras of a file. `name`: of the camera, if the file is one camera's. `set`: see
     /// [`Convention`](super::Convention).
     pub fn add(&mut self, tree: &Value, name: &str, set: Option<&str>) -> Result<(), Fault> {
-        if let Some([first, second]) = stereo(tree) {
-            self.put("camera1", first, &["", ""])?;
-            return self.put("camera2", second, &["", ""]);
-        }
-        match names_of_easymocap(tree) {
-            Some(names) => names.into_iter().try_for_each(|name| {
+        if let Some(names) = names_of_easymocap(tree) {
+            return names.into_iter().try_for_each(|name| {
                 let ending = format!("_{name}");
                 let fields = tree.as_object().into_iter().flatten();
                 let own = fields.filter_map(|(key, value)| {
                     Some((key.strip_suffix(&ending)?.to_owned(), value.clone()))
                 });
                 self.put(&name, own.collect(), &["", ""])
-            }),
+            });
+        }
+        match stereo(tree) {
+            Some([first, second]) => {
+                self.put("camera1", first, &["", ""])?;
+                self.put("camera2", second, &["", ""])
+            }
             None => self.walk(tree, &[name], set),
         }
     }

@@ -98,7 +98,10 @@ fn of_node(node: Node) -> Value {
     let numbers: Option<Vec<f64>> = words.iter().map(|word| word.parse().ok()).collect();
     match (numbers, &words[..]) {
         _ if node.has_tag_name("names") => texts().collect(),
-        (Some(numbers), [_]) => Value::from(numbers[0]),
+        // Whole numbers are also names and switches.
+        (Some(numbers), [word]) => {
+            word.parse::<i64>().map_or_else(|_| Value::from(numbers[0]), Value::from)
+        }
         (Some(numbers), _) => Value::from(numbers),
         (None, _) => Value::from(words.join(" ").trim_matches('"')),
     }

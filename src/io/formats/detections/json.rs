@@ -18,8 +18,8 @@ use super::{BOM, CameraReport, RawPerson, table};
 use crate::core::detections::Detection;
 
 /// Fields of a frame that hold its people.
-const PEOPLE: [&str; 6] =
-    ["people", "instances", "bodies", "annots", "pose_landmarks", "landmarks"];
+const PEOPLE: [&str; 7] =
+    ["people", "instances", "bodies", "annots", "pose_landmarks", "landmarks", "instance_info"];
 /// Fields of a person that hold its points.
 const POINTS: [&str; 5] =
     ["pose_keypoints_2d", "keypoints", "joints", "pose_landmarks", "landmarks"];
@@ -68,7 +68,7 @@ fn without_non_finite(bytes: &[u8]) -> Vec<u8> {
 pub(super) fn frames(file: &Value) -> Option<BTreeMap<u64, Vec<&Value>>> {
     let mut frames = BTreeMap::<u64, Vec<&Value>>::new();
     // MMPose counts from 1.
-    if let Some(all) = file.get("instance_info").and_then(Value::as_array) {
+    if let Some(all) = frames_of_mmpose(file) {
         let number = |frame: &Value| frame.get("frame_id")?.as_u64();
         let first = u64::from(!all.iter().any(|frame| number(frame) == Some(0)));
         for frame in all {
@@ -120,10 +120,16 @@ fn is_list(frame: &Value) -> bool {
     frame.as_array().is_some_and(|all| all.iter().any(is_entry))
 }
 
+/// The frames of a video. The results of an image have people there.
+fn frames_of_mmpose(file: &Value) -> Option<&Vec<Value>> {
+    let all = file.get("instance_info")?.as_array()?;
+    all.iter().any(|one| one.get("frame_id").is_some()).then_some(all)
+}
+
 /// Whether a file is a whole take's for sure, even if it is not alone in its folder.
 pub(super) fn is_take(file: &Value) -> bool {
     let has_image = |all: &Vec<Value>| all.iter().any(|one| one.get("image_id").is_some());
-    file.get("instance_info").is_some() || file.as_array().is_some_and(has_image)
+    frames_of_mmpose(file).is_some() || file.as_array().is_some_and(has_image)
 }
 
 fn points(person: &Value) -> Option<&Value> {
@@ -190,9 +196,13 @@ fn normalised_or_pixels(
     size: [u32; 2],
     report: &mut CameraReport,
 ) -> Vec<Option<Detection>> {
-    let is_share = all.iter().all(|[x, y, _]| !(x.abs() > SHARE || y.abs() > SHARE));
+    // A guessed point may be far outside the image. (0, 0) and (-1, -1) are missing points.
+    let is_there = |[x, y, c]: &&[f64; 3]| (*c > 0.0 || c.is_nan()) && (*x > 0.0 || *y > 0.0);
+    let is_far = |[x, y, _]: &&[f64; 3]| x.abs() > SHARE || y.abs() > SHARE;
+    let there = all.iter().filter(is_there);
+    let is_share = there.clone().filter(is_far).count() * 2 < there.count().max(1);
     let [width, height] = if is_share { size.map(f64::from) } else { [1.0, 1.0] };
-    report.shares |= is_share && all.iter().any(|[x, y, _]| x.abs() + y.abs() > 0.0);
+    report.shares |= is_share && all.iter().any(|one| is_there(&one));
     all.iter().map(|[x, y, c]| report.detection(x * width, y * height, *c)).collect()
 }
 
@@ -250,6 +260,44 @@ fn values(
                 return Err(format!("a person has {} numbers, no multiple of 3", numbers.len()));
             }
             Ok(numbers.chunks_exact(3).map(|p| point(p[0], p[1], p[2])).collect())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn results_of_mmpose_are_of_an_image_or_of_a_video() {
+        let person =
+            json!({ "keypoints": [[1.0, 2.0], [3.0, 4.0]], "keypoint_scores": [0.9, 0.8] });
+        let image = json!({ "meta_info": {}, "instance_info": [person] });
+        assert!(frames(&image).is_none() && !is_take(&image));
+        let found = people(&image, [100, 100], &mut CameraReport::default()).unwrap();
+        assert_eq!((found.len(), found[0].points.len()), (1, 2));
+        let nobody = json!({ "meta_info": {}, "instance_info": [] });
+        assert!(people(&nobody, [100, 100], &mut CameraReport::default()).unwrap().is_empty());
+        let video = json!({ "instance_info": [{ "frame_id": 1, "instances": [person] }] });
+        assert!(is_take(&video) && frames(&video).unwrap().contains_key(&0));
+    }
+
+    #[test]
+    fn most_points_tell_whether_they_are_shares_of_the_image() {
+        let x_of = |all: &[[f64; 3]]| {
+            let mut report = CameraReport::default();
+            let points = normalised_or_pixels(all, [200, 100], &mut report);
+            (points[0].unwrap().pixel.x, report.shares)
+        };
+        // A guessed foot is far below the image.
+        let shares = [&[[0.5, 0.5, 0.9]; 10][..], &[[0.5, 3.1, 0.1]]].concat();
+        assert_eq!(x_of(&shares), (100.0, true));
+        // Most points are missing.
+        for missing in [[0.0, 0.0, 0.0], [-1.0, -1.0, 0.0], [-1.0, -1.0, 1.0]] {
+            let pixels = [&[[50.0, 40.0, 0.9]; 3][..], &[missing; 10]].concat();
+            assert_eq!(x_of(&pixels), (50.0, false));
         }
     }
 }

@@ -18,7 +18,7 @@ pub struct PointOrder {
     pub name: String,
     /// The format in which the points are recorded.
     pub format: KeypointFormat,
-    /// Number of points; `None` for a mapping file by index, which may use the first points of more.
+    /// Number of points; `None` if others may follow them.
     len: Option<usize>,
     /// The detector's index of each point of the format.
     index: Vec<Option<usize>>,
@@ -115,8 +115,8 @@ enum Place {
 }
 
 impl Other {
-    fn order(&self, len: usize) -> Option<PointOrder> {
-        PointOrder::recorded(self.name, Some(len), self.place)
+    fn order(&self, len: Option<usize>) -> Option<PointOrder> {
+        PointOrder::recorded(self.name, len, self.place)
     }
 }
 
@@ -137,7 +137,11 @@ impl PointOrder {
             return Ok(format.into());
         }
         let known = OTHERS.iter().find(|other| other.name == name);
-        let found = known.and_then(|other| other.order(other.counts[0]));
+        let found = known.and_then(|other| match other.counts {
+            [count] => other.order(Some(*count)),
+            // Others may follow them.
+            _ => other.order(None),
+        });
         let formats = KeypointFormat::ALL.map(KeypointFormat::name);
         found.ok_or_else(|| {
             unknown_format(name, formats.into_iter().chain(OTHERS.map(|other| other.name)))
@@ -148,7 +152,7 @@ impl PointOrder {
     pub fn of_count(count: usize) -> Vec<Self> {
         let formats = KeypointFormat::ALL.into_iter().filter(|format| format.len() == count);
         let others = OTHERS.iter().filter(|other| other.counts.contains(&count));
-        let others = others.filter_map(|other| other.order(count));
+        let others = others.filter_map(|other| other.order(Some(count)));
         formats.map(Self::from).chain(others).collect()
     }
 
@@ -239,5 +243,43 @@ impl PointOrder {
     /// The points in the format's order.
     pub fn put(&self, points: &[Option<Detection>]) -> Vec<Option<Detection>> {
         self.index.iter().map(|at| at.and_then(|at| points.get(at).copied().flatten())).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_where_detectors_have_them() {
+        for (name, places) in [
+            (
+                "openpose_18",
+                [(K::Neck, 1), (K::RWrist, 4), (K::LElbow, 6), (K::LAnkle, 13), (K::LEar, 17)],
+            ),
+            (
+                "halpe_136",
+                [
+                    (K::LShoulder, 5),
+                    (K::RAnkle, 16),
+                    (K::Neck, 18),
+                    (K::LBigToe, 20),
+                    (K::RHeel, 25),
+                ],
+            ),
+            (
+                "mediapipe_33",
+                [(K::Nose, 0), (K::LEar, 7), (K::RWrist, 16), (K::LKnee, 25), (K::RBigToe, 32)],
+            ),
+        ] {
+            let order = PointOrder::named(name).unwrap();
+            for (point, place) in places {
+                let ours = order.format.index_of(point).unwrap();
+                assert_eq!(order.index[ours], Some(place), "{name} {point:?}");
+            }
+        }
+        let takes = |name: &str, count| PointOrder::named(name).unwrap().takes(count);
+        assert!(takes("mediapipe_33", 33) && takes("mediapipe_33", 553));
+        assert!(takes("openpose_18", 18) && !takes("openpose_18", 25) && !takes("halpe_136", 133));
     }
 }

@@ -159,7 +159,11 @@ pub(super) fn sources(root: &Path) -> Result<Sources, ImportError> {
     // A detector has put the frames of all videos into one folder.
     let together = by_video(frames(root)?);
     let has_frames = |one: &Source| match &one.content {
-        Content::Files(files) => files.len() > 1 && !holds_all(&files[0], false),
+        Content::Files(files) => {
+            // Nobody may be in the first frames.
+            let first = files.iter().find(|file| !is_empty(file));
+            files.len() > 1 && first.is_none_or(|first| !holds_all(first, false))
+        }
         _ => false,
     };
     if together.len() > 1 && together.iter().all(has_frames) {
@@ -234,10 +238,19 @@ fn shared_file(root: &Path) -> Result<Option<Sources>, ImportError> {
             let is_2d = |path: &&PathBuf| {
                 ending(path) == "npy" && file_name(path).to_lowercase().contains("2d")
             };
-            match (all.iter().find(is_2d), &all[..]) {
-                (Some(path), _) => path.clone(),
-                (None, [only]) if ending(only) == "csv" => only.clone(),
-                _ => return Ok(None),
+            // Others may have an array of each camera.
+            let is_of_all = |path: &&&PathBuf| {
+                let array = fs::read(path).ok().and_then(|bytes| table::npy(&bytes).ok());
+                array.is_some_and(|cameras| cameras.len() > 1)
+            };
+            let arrays: Vec<&PathBuf> = all.iter().filter(is_2d).collect();
+            match (&arrays[..], &all[..]) {
+                ([path], _) => PathBuf::clone(path),
+                ([], [only]) if ending(only) == "csv" => only.clone(),
+                _ => match arrays.iter().find(is_of_all) {
+                    Some(path) => PathBuf::clone(path),
+                    None => return Ok(None),
+                },
             }
         }
     };
@@ -330,6 +343,13 @@ fn is_frame(path: &Path) -> bool {
         "txt" => !path.is_dir() && is_label(),
         _ => false,
     }
+}
+
+/// Whether a file is an empty list: nobody is in a frame, or in a take.
+fn is_empty(path: &Path) -> bool {
+    let bytes = if ending(path) == "json" { fs::read(path).ok() } else { None };
+    let file = bytes.and_then(|bytes| json::parse(&bytes).ok());
+    file.is_some_and(|file| file.as_array().is_some_and(Vec::is_empty))
 }
 
 /// Whether a file holds all frames of a camera; `broken`: what is said of one that cannot be parsed.
