@@ -27,7 +27,7 @@
 //! # }
 //! ```
 //!
-//! A [`Stage`] does the same for several performers.
+//! A [`Stage`] does this for several performers, with [inputs](StageInput) and [outputs](StageOutput) of its own.
 //!
 //! [`offline`] solves a recording with this loop and writes the results. `live` is the node: it
 //! takes detections from a bus and publishes poses at a fixed latency.
@@ -137,8 +137,10 @@ pub use crate::core::body::{Joint, Pose, Skeleton, StampedPose, TrackingState};
 pub use crate::core::camera::{Camera, CameraError, Lens, Rig};
 pub use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
 pub use crate::core::manifold::{Decoder, WeightsError};
-pub use crate::core::stage::{PerformerId, Performers, Stage};
+pub use crate::core::stage::{
+    Input as StageInput, Output as StageOutput, PerformerId, Performers, Stage,
+};
 pub use crate::core::time::{Nanos, Timestamp};
 pub use crate::core::tracker::{
-    Config as TrackerConfig, Event, Input, Job, Output, Solution, Solver, Tracker,
+    Config as TrackerConfig, Event, EventKind, Input, Job, Output, Solution, Solver, Tracker,
 };

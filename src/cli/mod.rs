@@ -103,6 +103,7 @@ pub fn run_with(words: Vec<OsString>) -> u8 {
     let words = WORDS.get_or_init(|| words);
     let matches = unwrapped(Arguments::command()).get_matches_from(words);
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    clock::clean_up_on_signals();
     let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),

@@ -225,17 +225,26 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     let served = live.serve(&stop)?;
     say(&served.to_string());
     let Some(out) = &arguments.out else { return Ok(Exit::Done) };
-    let mut is_written = false;
+    let (mut is_written, mut unwritten) = (false, served.unwritten);
     for Retargeted { retarget, skeleton, file, .. } in served.performers.into_values() {
         let (Some(skeleton), Some(file)) = (skeleton, file) else { continue };
         let path = file.path().to_owned();
-        if let Some(written) = file.finish(&retarget)? {
-            tell(&written, &retarget, &skeleton, &path);
-            is_written = true;
+        match file.finish(&retarget) {
+            Ok(Some(written)) => {
+                tell(&written, &retarget, &skeleton, &path);
+                is_written = true;
+            }
+            Ok(None) => {}
+            Err(error) => {
+                complain("warning", &format!("a file is not written: {}", error.line()));
+                unwritten += 1;
+            }
         }
     }
-    if is_written {
-        return Ok(Exit::Done);
+    match (unwritten, is_written) {
+        (0, true) => return Ok(Exit::Done),
+        (0, false) => {}
+        _ => return Ok(Exit::InPart),
     }
     let fix = "check --stage, --actor and whether the node runs";
     complain("warning", &format!("{} not written: no poses arrived; {fix}", out.display()));

@@ -58,6 +58,8 @@ pub(super) struct Served {
     pub(super) unusable: Unusable,
     /// Poses that the bus refused; they are still kept for the file.
     pub(super) unsent: u64,
+    /// Files that could not be written.
+    pub(super) unwritten: u64,
     /// Messages that were dropped because the queue was full.
     pub(super) dropped: u64,
 }
@@ -154,10 +156,15 @@ impl<'a> Live<'a> {
         let figure = retarget.apply(&stamped.pose, skeleton)?;
         let message = figure.message(&wire, retarget.target());
         let encoding = media_type(&RetargetedPose::full_name());
-        if let Some(path) = path {
+        let written = path.as_ref().map(|path| {
             let new = || TargetFile::new(path, None, file_start(capture, first));
-            let file = file.get_or_insert_with(new);
-            file.add(capture, &figure, retarget)?;
+            file.get_or_insert_with(new).add(capture, &figure, retarget)
+        });
+        // The poses still go out, and those of others to their files.
+        let is_unwritten = matches!(written, Some(Err(_)));
+        if let Some(Err(error)) = written {
+            complain("warning", &format!("a file is not written: {}", error.line()));
+            (*path, *file) = (None, None);
         }
         match publisher.put(capture, &encoding, &encode(&message)) {
             Ok(()) => served.published += 1,
@@ -168,6 +175,7 @@ impl<'a> Live<'a> {
                 served.unsent += 1;
             }
         }
+        served.unwritten += u64::from(is_unwritten);
         Ok(())
     }
 }

@@ -17,7 +17,6 @@ use super::rig::{ConventionArguments, read as read_rig};
 use super::settings::changed;
 use super::span::{SpanArguments, Times};
 use super::stage::StageArguments;
-use super::takes::forget_manifest;
 use super::terminal::{complain, note, progress, say, table};
 use crate::config::Config;
 use crate::core::body::Skeleton;
@@ -202,7 +201,6 @@ impl Observer for Progress {
 pub(super) fn alone(arguments: &Arguments, prepared: &Prepared, file: &Path) -> Ended {
     let bar = |messages| progress(messages, "messages");
     let solved = prepared.solve(arguments, file, &arguments.out, arguments.overwrite, bar)?;
-    forget_manifest(&arguments.out);
     solved.lines.iter().for_each(|(kind, text)| complain(kind, text));
     tell(arguments, &solved)?;
     Ok(solved.exit)

@@ -83,7 +83,11 @@ struct Take<'a> {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let prepared = Prepared::of(arguments)?;
     match &arguments.files[..] {
-        [only] if arguments.jobs.is_none() => alone(arguments, &prepared, only),
+        [only] if arguments.jobs.is_none() => {
+            let exit = alone(arguments, &prepared, only)?;
+            forget_manifest(&arguments.out);
+            Ok(exit)
+        }
         _ => each(arguments, &prepared),
     }
 }
@@ -313,7 +317,7 @@ fn unread(path: &Path, error: &std::io::Error) -> Failure {
 }
 
 /// The take in this folder was solved alone: removes what an earlier solve among others tells of it.
-pub(super) fn forget_manifest(folder: &Path) {
+fn forget_manifest(folder: &Path) {
     let path = folder.join(MANIFEST);
     let text = std::fs::read_to_string(&path).unwrap_or_default();
     if serde_json::from_str::<Manifest>(&text).is_ok() {

@@ -13,11 +13,6 @@ const SMALL_ANGLE: f64 = 1e-5;
 /// The rotation from our world, with y up, to one with z up: (x, y, z) becomes (z, x, y).
 pub const Z_UP: Matrix3<f64> = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
 
-/// The matrix \[v\]x with \[v\]x w = v x w.
-pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
-    v.cross_matrix()
-}
-
 /// Rodrigues' formula: the rotation by |v| radians about v.
 pub fn exp(v: &Vector3<f64>) -> Matrix3<f64> {
     let angle = v.norm();
@@ -27,7 +22,9 @@ pub fn exp(v: &Vector3<f64>) -> Matrix3<f64> {
 /// The rotation by `angle` radians about an axis of length 1.
 fn turn(axis: &Vector3<f64>, angle: f64) -> Matrix3<f64> {
     let (sin, cos) = sincos(angle);
-    Matrix3::from_diagonal_element(cos) + hat(axis) * sin + axis * axis.transpose() * (1.0 - cos)
+    Matrix3::from_diagonal_element(cos)
+        + axis.cross_matrix() * sin
+        + axis * axis.transpose() * (1.0 - cos)
 }
 
 /// The rotation vector of R, of length at most pi. At exactly pi one of the two is returned.
@@ -93,7 +90,7 @@ pub fn is_rotation(r: &Matrix3<f64>, tolerance: f64) -> bool {
 /// The left Jacobian: exp(v + d) = exp(Jl(v) d) exp(v) to first order in d. 3x3.
 pub fn left_jacobian(v: &Vector3<f64>) -> Matrix3<f64> {
     let angle = v.norm();
-    let v_hat = hat(v);
+    let v_hat = v.cross_matrix();
     if angle < SMALL_ANGLE {
         return Matrix3::identity() + v_hat * 0.5;
     }
@@ -112,7 +109,7 @@ pub fn right_jacobian(v: &Vector3<f64>) -> Matrix3<f64> {
 /// Singular at |v| = 2 pi, which a logarithm never reaches.
 pub fn right_jacobian_inverse(v: &Vector3<f64>) -> Matrix3<f64> {
     let angle = v.norm();
-    let v_hat = hat(v);
+    let v_hat = v.cross_matrix();
     if angle < SMALL_ANGLE {
         return Matrix3::identity() + v_hat * 0.5;
     }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Valid times: the years 1684 to 2255 by the Unix epoch.
 pub const TIMES_NS: RangeInclusive<i64> = -9_000_000_000_000_000_000..=9_000_000_000_000_000_000;
 
-/// Nanoseconds since the common epoch of the recording's cameras. Never a processing time.
+/// Nanoseconds since an epoch: that of the cameras, unless stated otherwise.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]

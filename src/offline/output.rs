@@ -286,6 +286,24 @@ pub(super) fn page(
     }
 }
 
+/// Begin and end of what is lost.
+fn lost_stretches(all: &[WindowSummary]) -> Vec<[Timestamp; 2]> {
+    let is_one = |a: &WindowSummary, b: &WindowSummary| match (a.lost, b.lost) {
+        (None, None) => true,
+        (Some([_, to]), Some([from, _])) => to == a.end && from == b.start,
+        _ => false,
+    };
+    let runs: Vec<&[WindowSummary]> = all.chunk_by(is_one).collect();
+    let stretch = |(k, run): (usize, &&[WindowSummary])| {
+        let last = &run[run.len() - 1];
+        let ([from, _], [_, to]) = (run[0].lost?, last.lost?);
+        // While somebody is searched there are no windows.
+        let next = runs.get(k + 1).filter(|_| to == last.end);
+        Some([from, next.map_or(to, |next| next[0].start)])
+    };
+    runs.iter().enumerate().filter_map(stretch).collect()
+}
+
 /// The bad moments of a performer: points that were not followed, lost stretches, and the windows of the highest
 /// cost, at least a second apart.
 fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<Moment> {
@@ -298,20 +316,10 @@ fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<Moment> {
         moment(at, MomentKind::NotFollowed, *frames as f64, what)
     });
     let all = windows.series.bins();
-    let is_one = |a: &WindowSummary, b: &WindowSummary| match (a.lost, b.lost) {
-        (None, None) => true,
-        (Some([_, to]), Some([from, _])) => to == a.end && from == b.start,
-        _ => false,
-    };
-    let runs: Vec<&[WindowSummary]> = all.chunk_by(is_one).collect();
-    let lost = runs.iter().enumerate().filter_map(|(k, run)| {
-        let last = &run[run.len() - 1];
-        let ([from, _], [_, to]) = (run[0].lost?, last.lost?);
-        // While somebody is searched there are no windows.
-        let next = runs.get(k + 1).filter(|_| to == last.end);
-        let seconds = next.map_or(to, |next| next[0].start).seconds_since(from);
+    let lost = lost_stretches(all).into_iter().map(|[from, to]| {
+        let seconds = to.seconds_since(from);
         let what = format!("lost or extrapolated for {seconds:.2} s");
-        Some(moment(from, MomentKind::Lost, seconds, what))
+        moment(from, MomentKind::Lost, seconds, what)
     });
     let mut costly: Vec<_> = all.iter().filter(|window| window.cost.is_finite()).collect();
     costly.sort_by(|a, b| b.cost.total_cmp(&a.cost));
@@ -430,6 +438,7 @@ fn row(window: &WindowSummary, start: Timestamp) -> WindowRow {
 mod tests {
     use super::*;
     use crate::core::body::{Pose, TrackingState};
+    use crate::core::time::Nanos;
     use crate::io::report::PlayerPose;
     use crate::offline::poses::PLAYED;
 
@@ -448,6 +457,29 @@ mod tests {
         let found = worst(of(0).chain(of(1)).collect());
         let words: Vec<&str> = found.iter().map(|moment| &*moment.what).collect();
         assert_eq!(words, ["1", "0", "1", "0", "19", "18", "17", "16", "15", "14"]);
+    }
+
+    #[test]
+    fn lost_stretches_keep_their_length_in_a_long_take() {
+        let at = |seconds: usize| Timestamp::default() + Nanos::SECOND * seconds as i64;
+        let window = |second: usize| WindowSummary {
+            start: at(second),
+            end: at(second + 1),
+            latent_norm: 1.0,
+            iterations: 1,
+            cost: 1.0,
+            // Somebody is searched after the second of them.
+            lost: [3, 8, 9].contains(&second).then_some([at(second), at(second + 1)]),
+            solve_ms: 1.0,
+        };
+        let windows = || (0..10).chain(15..20).map(window);
+        let lost = |limit: usize| {
+            let mut series = Series::up_to(limit);
+            windows().for_each(|window| series.push(window));
+            lost_stretches(series.bins())
+        };
+        assert_eq!(lost(100), [[at(3), at(4)], [at(8), at(15)]]);
+        assert_eq!(lost(8), [[at(3), at(4)], [at(8), at(15)]]);
     }
 
     #[test]

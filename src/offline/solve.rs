@@ -60,6 +60,9 @@ pub fn solve_group(
     let Prepared { rig, period, held_out, bodies, count, offsets, notes, is_body_wrong, evidence } =
         prepare(recording, options, observer)?;
     let names = names(options, count);
+    // Known people may not be in the recording.
+    let found = bodies.iter().flatten().count();
+    let shown = if options.passes() > 1 { found } else { names.len() };
     let judged =
         Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
     // Without a pass before, the evidence is gathered in this one.
@@ -79,7 +82,7 @@ pub fn solve_group(
         let folder = &outputs.as_ref()?.folder;
         Some(folder.file(&output::of_performer(name, options.performers, "bvh")))
     };
-    let played = if outputs.is_some() { (PLAYED / names.len().max(1)).max(1) } else { 1 };
+    let played = if outputs.is_some() { (PLAYED / shown.max(1)).max(1) } else { 1 };
     let collected = |name: &String| Collected {
         name: name.clone(),
         poses: Poses::new(bvh(name), played),

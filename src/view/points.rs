@@ -6,6 +6,9 @@ use crate::core::body::{BodyPoint, Skeleton, fitted_points};
 use crate::core::detections::KeypointFormat;
 use crate::io::wire::{self, ActorChannel, KeypointFrame, Pose, StageChannel, Topic, decode};
 
+/// After so long without a frame of a format, nanoseconds, another one counts.
+const FORGOTTEN: u64 = 1_000_000_000;
+
 /// Follows the messages of a stage, for the keypoints of its bodies.
 #[derive(Debug, Default)]
 pub(super) struct Points {
@@ -14,6 +17,8 @@ pub(super) struct Points {
     /// Those of the detector's format.
     points: Vec<BodyPoint>,
     format: Option<KeypointFormat>,
+    /// Capture time of the last frame with that format.
+    seen_ns: i64,
 }
 
 impl Points {
@@ -23,10 +28,16 @@ impl Points {
         match Topic::parse(topic).ok()? {
             Topic::Stage { channel: StageChannel::Keypoints { .. }, .. } => {
                 let frame = decode::<KeypointFrame>(payload).ok()?;
-                if self.format.is_none_or(|format| format.name() != frame.format) {
+                let is_same = self.format.is_some_and(|format| format.name() == frame.format);
+                let is_over = || frame.capture_time_ns.abs_diff(self.seen_ns) > FORGOTTEN;
+                if !is_same && self.format.is_some() && !is_over() {
+                    return None;
+                }
+                if !is_same {
                     self.format = KeypointFormat::from_name(&frame.format);
                     self.points = self.format.map(fitted_points).unwrap_or_default();
                 }
+                self.seen_ns = frame.capture_time_ns;
                 None
             }
             Topic::Actor { actor, channel: ActorChannel::Skeleton, .. } => {

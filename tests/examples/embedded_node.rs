@@ -5,6 +5,8 @@
 //! cargo run --release --example embedded_node
 //! ```
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
@@ -13,7 +15,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use bundlemocap::config::Config;
 use bundlemocap::io::bus::{Bus, Memory, Sample};
 use bundlemocap::io::recording::{Message, Reader};
-use bundlemocap::io::wire::{KeypointFrame, Pose, Topics, decode, encode};
+use bundlemocap::io::wire::{KeypointFrame, Pose, Rig, Schema, Topics, decode, encode, media_type};
 use bundlemocap::live::{Core, Node, Presence, WallClock};
 use bundlemocap::{Decoder, Nanos, Solver, Timestamp};
 
@@ -28,7 +30,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let bus: Arc<dyn Bus> = Arc::new(Memory::new());
     let topics = Topics::new(&config.node.stage, &config.node.actor)?;
     let clock = WallClock::start();
-    let presence = Presence::announce(Arc::clone(&bus), topics.clone(), false, clock.now())?;
+    let several = config.stage.several();
+    let presence = Presence::announce(Arc::clone(&bus), topics.clone(), several, clock.now())?;
     let decoder = Decoder::embedded()?;
     let core = Core::new(config.core_settings(&decoder)?);
     let solvers = vec![Solver::new(decoder, config.tracker)];
@@ -49,17 +52,25 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // In place of detectors: the messages of a recording, with the times of now.
     let start = clock.now() + Nanos::from_ms(100);
+    // What was published as a state is kept as long as its publisher.
+    let rigs = bus.publisher(&topics.rig())?;
+    let mut cameras = BTreeMap::new();
     for entry in Reader::open(Path::new("recordings/walk.mcap"))? {
         match entry?.message {
             Message::Rig(rig) => {
-                bus.publisher(&topics.rig())?.put(clock.now(), "", &encode(&rig))?;
+                rigs.put(clock.now(), &media_type(Rig::FULL_NAME), &encode(&rig))?;
             }
             Message::Keypoints(frame) => {
                 let capture = start + Nanos::new(frame.capture_time_ns);
                 clock.wait_until(capture);
-                let topic = topics.keypoints(&frame.camera);
+                let camera = match cameras.entry(frame.camera.clone()) {
+                    Entry::Occupied(known) => known.into_mut(),
+                    Entry::Vacant(new) => {
+                        new.insert(bus.publisher(&topics.keypoints(&frame.camera))?)
+                    }
+                };
                 let frame = KeypointFrame { capture_time_ns: capture.ns(), ..frame };
-                bus.publisher(&topic)?.put(capture, "", &encode(&frame))?;
+                camera.put(capture, &media_type(KeypointFrame::FULL_NAME), &encode(&frame))?;
             }
             _ => {}
         }

@@ -919,6 +919,19 @@ fn a_shelf_of_takes_is_solved_once() {
 
 #[cfg(unix)]
 #[test]
+fn a_command_that_is_stopped_leaves_no_half_files() {
+    let place = Place::new();
+    let synth = place.start("synth --out long.mcap --seconds 3600");
+    let files = || fs::read_dir(place.path("")).unwrap().count();
+    while files() == 0 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert_eq!(synth.interrupt().code, None, "it ends by the signal");
+    assert_eq!(files(), 0);
+}
+
+#[cfg(unix)]
+#[test]
 fn a_solve_that_is_stopped_leaves_no_half_files() {
     let place = Place::new();
     walk(&place.path("a.mcap"), 3000, |_| true);

@@ -41,17 +41,24 @@ fn write_recording(path: &Path) {
     let start = Timestamp::default();
     writer.rig(&rig(), start).unwrap();
     writer.skeleton(&skeleton(), start).unwrap();
-    writer.truth_skeleton(&skeleton(), start).unwrap();
+    let (topics, body) = (Topics::default(), wire::Skeleton::from_core(&skeleton()));
+    writer.write(&topics.truth_skeleton(), start, &body).unwrap();
     for index in 0..FRAMES {
         for (camera, name) in ["left", "right"].into_iter().enumerate() {
             writer.keypoints(&frame(index, camera), name, [1280, 720]).unwrap();
         }
     }
     writer.pose(&stamped_pose(1), &skeleton()).unwrap();
-    writer.truth_pose(&stamped_pose(1), &skeleton()).unwrap();
-    writer.keyframe(&keyframe(), WEIGHTS).unwrap();
-    writer.event(&event()).unwrap();
-    writer.status(&wire::Status::default()).unwrap();
+    let pose = stamped_pose(1);
+    let of_pose = wire::Pose::from_core(&pose, &skeleton(), None);
+    writer.write(&topics.truth(), pose.capture, &of_pose).unwrap();
+    let at = keyframe().capture;
+    writer.write(&topics.keyframe(), at, &wire::Keyframe::from_core(&keyframe(), WEIGHTS)).unwrap();
+    let event = event();
+    let of_event = topics.events(event.event_kind().unwrap());
+    let at = Timestamp::from_ns(event.capture_time_ns);
+    writer.write(&of_event, at, &event).unwrap();
+    writer.write(&topics.status(), start, &wire::Status::default()).unwrap();
     writer.finish().unwrap();
 }
 

@@ -312,6 +312,25 @@ fn two_who_were_taken_for_one_are_two_when_they_part() {
     assert!(off < 0.15, "{off} m");
 }
 
+/// They go away together from an embrace. The one who was merged comes back first.
+#[test]
+fn who_was_merged_comes_back_before_the_other_one() {
+    let at = |person: usize, seconds: f64| {
+        let off = (4.5 - seconds).clamp(0.0, 1.2);
+        Vector3::new(if person == 0 || seconds > 6.0 { 0.0 } else { off }, 0.0, 0.3)
+    };
+    let crowd = people(&[0.5, -0.8], 12.0, at);
+    let is_there = |owner: usize, _: usize, seconds: f64| {
+        seconds < 5.5 || seconds > if owner == 1 { 7.5 } else { 20.0 }
+    };
+    for performers in ["2", "auto"] {
+        let result = run(&crowd.people()[0].rig, seen(&crowd, is_there), performers);
+        assert_eq!(result.events(EventKind::Merged), [1], "{:?}", result.events);
+        assert_eq!(result.events(EventKind::Entered), [0, 1], "{:?}", result.events);
+        assert_eq!(result.events(EventKind::Reentered), [1], "{:?}", result.events);
+    }
+}
+
 #[test]
 fn people_above_the_limit_are_counted_and_are_nobodys() {
     let at = |person: usize, seconds: f64| {

@@ -12,7 +12,9 @@ use crate::research::experiments::{Case, drift, methods, plots};
 /// Solves one long take at each noise level.
 pub(super) fn run(asked: &Drift, names: &[String]) -> Result<(), Failure> {
     let minutes = within("minutes", asked.minutes, 0.5, 600.0)?;
-    let setup = Setup::new(&asked.motions)?;
+    let mut setup = Setup::new(&asked.motions)?;
+    setup.keep_first_rig();
+    setup.keep_first_seed();
     let mut report = ReportData {
         title: format!("Drift over {minutes} minutes"),
         subtitle: setup.subtitle(),

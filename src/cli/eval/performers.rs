@@ -32,7 +32,8 @@ const CORNERS: usize = 24;
 /// Solves crowds of these numbers of people at each noise level.
 pub(super) fn run(asked: &arguments::Performers) -> Result<(), Failure> {
     let distance = within("--meet", asked.meet, 0.2, 1.5)?;
-    let setup = Setup::of_crowds(&asked.motions)?;
+    let mut setup = Setup::of_crowds(&asked.motions)?;
+    setup.keep_first_rig();
     let folder = tempfile::tempdir().map_err(|error| {
         Failure::new(Exit::Unexpected, format!("cannot make a folder: {error}"))
     })?;

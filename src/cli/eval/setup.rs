@@ -89,6 +89,24 @@ impl Setup {
         Ok(setup)
     }
 
+    /// Keeps the first rig, and says so if there are more.
+    pub(super) fn keep_first_rig(&mut self) {
+        let rigs = &mut self.protocol.rigs;
+        if rigs.len() > 1 {
+            note(&format!("only the first rig is used, {}", rigs[0]));
+            rigs.truncate(1);
+        }
+    }
+
+    /// Keeps the first seed, and says so if there are more.
+    pub(super) fn keep_first_seed(&mut self) {
+        let seeds = &mut self.protocol.seeds;
+        if seeds.len() > 1 {
+            note(&format!("only the first seed is used, {}", seeds[0]));
+            seeds.truncate(1);
+        }
+    }
+
     /// The view of a level of noise with the first rig and the first seed.
     pub(super) fn view(&self, level: &str) -> Result<View, Failure> {
         let noise = match (self.protocol.levels.get(level), level) {

@@ -3,7 +3,6 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::core::camera::Camera;
-use crate::core::so3;
 
 /// Two cameras, and what their views of one point must satisfy.
 #[derive(Clone, Debug)]
@@ -24,7 +23,7 @@ impl Pair {
         let (from, to) = (&cameras[a], &cameras[b]);
         let rotation = to.rotation * from.rotation.transpose();
         let translation = to.translation - rotation * from.translation;
-        let essential = so3::hat(&translation.try_normalize(1e-6)?) * rotation;
+        let essential = translation.try_normalize(1e-6)?.cross_matrix() * rotation;
         Some(Self { a, b, essential, focal: [from.focal.mean(), to.focal.mean()] })
     }
 

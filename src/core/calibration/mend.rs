@@ -144,7 +144,7 @@ fn residual(camera: &Camera, view: &View) -> Option<(Vector2<f64>, SMatrix<f64, 
     let q = camera.rotation * view.at + camera.translation;
     let (error, by_q) = refine::residual(&q, &view.seen, camera.focal.mean(), 1.0)?;
     let mut by = SMatrix::<f64, 2, 6>::zeros();
-    by.fixed_columns_mut::<3>(0).copy_from(&(by_q * -so3::hat(&q)));
+    by.fixed_columns_mut::<3>(0).copy_from(&(by_q * -q.cross_matrix()));
     by.fixed_columns_mut::<3>(3).copy_from(&by_q);
     Some((error, by))
 }

@@ -401,7 +401,7 @@ fn by_camera(
     by_focal: &Vector2<f64>,
 ) -> SMatrix<f64, 2, UNKNOWNS> {
     let mut by_camera = SMatrix::<f64, 2, UNKNOWNS>::zeros();
-    by_camera.fixed_columns_mut::<3>(0).copy_from(&(by_q * -so3::hat(q)));
+    by_camera.fixed_columns_mut::<3>(0).copy_from(&(by_q * -q.cross_matrix()));
     by_camera.fixed_columns_mut::<3>(3).copy_from(&-by_q);
     by_camera.set_column(6, by_focal);
     by_camera

@@ -111,7 +111,7 @@ fn placed(pose: &Pose, skeleton: &Skeleton, correction: &Correction) -> [Placed;
             let vector = Vector3::from_column_slice(&correction.0[3 * number..3 * number + 3]);
             let arm = position - posture.positions[joint.index()];
             let turn = posture.rotations[joint.index()] * so3::right_jacobian(&vector);
-            Some((number, -so3::hat(&arm) * turn))
+            Some((number, -arm.cross_matrix() * turn))
         });
         Placed { position, by: by.collect() }
     })

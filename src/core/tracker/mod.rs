@@ -57,6 +57,8 @@ mod verdict;
 pub(super) mod waiting;
 mod window;
 
+pub use crate::core::limits::OutOfRange;
+pub use crate::core::optimise::{OptimiserKind, Summary};
 pub use agreement::Unfollowed;
 #[doc(hidden)]
 pub use association::follow;

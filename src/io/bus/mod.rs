@@ -50,6 +50,8 @@ pub use config::{
 #[cfg(feature = "iceoryx2")]
 pub use iceoryx2::Iceoryx2;
 pub use memory::Memory;
+#[cfg(feature = "live")]
+pub(crate) use name::LONGEST_TOPIC;
 pub use name::{check_pattern, check_topic, matches};
 pub use replay::Replay;
 #[cfg(feature = "zenoh")]

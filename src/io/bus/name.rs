@@ -3,7 +3,7 @@
 use super::BusError;
 
 /// Longest topic or pattern, bytes. Names of services in shared memory are limited.
-const LONGEST: usize = 200;
+pub(crate) const LONGEST_TOPIC: usize = 200;
 
 /// Checks a topic: parts between slashes, no empty part, no `*`, `$`, `?` or `#`, no part that
 /// begins with `@`, no control characters, at most 200 bytes.
@@ -33,7 +33,7 @@ fn check(
     what: &'static str,
     stars: impl Fn(&str) -> Option<&'static str>,
 ) -> Result<(), BusError> {
-    let reason = if name.len() > LONGEST {
+    let reason = if name.len() > LONGEST_TOPIC {
         Some("it is longer than 200 bytes")
     } else {
         name.split('/').find_map(|part| wrong_with(part).or_else(|| stars(part)))

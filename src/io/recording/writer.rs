@@ -16,11 +16,10 @@ use super::target::{Target, part_of};
 use crate::core::body::{self, StampedPose};
 use crate::core::camera;
 use crate::core::detections::Detections;
-use crate::core::manifold::StampedKeyframe;
 use crate::core::time::Timestamp;
 use crate::io::wire::{
-    ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, SCHEMA_ENCODING, Schema, Skeleton, Status,
-    Topics, descriptor, encode,
+    ENCODING, KeypointFrame, Pose, Rig, SCHEMA_ENCODING, Schema, Skeleton, Topics, descriptor,
+    encode,
 };
 
 /// Chunks close above this many bytes. A truncated file or a flipped bit loses at most a chunk,
@@ -200,19 +199,6 @@ impl Writer {
         self.write(&self.topics.pose(), pose.capture, &Pose::from_core(pose, skeleton, None))
     }
 
-    /// Writes a final keyframe; `weights` is the fingerprint of the decoder's weights, hexadecimal.
-    ///
-    /// # Errors
-    /// As [`Writer::write`].
-    pub fn keyframe(
-        &mut self,
-        keyframe: &StampedKeyframe,
-        weights: &str,
-    ) -> Result<(), RecordError> {
-        let message = Keyframe::from_core(keyframe, weights);
-        self.write(&self.topics.keyframe(), keyframe.capture, &message)
-    }
-
     /// Writes the body, valid from `at`.
     ///
     /// # Errors
@@ -223,50 +209,6 @@ impl Writer {
         at: Timestamp,
     ) -> Result<(), RecordError> {
         self.write(&self.topics.skeleton(), at, &Skeleton::from_core(skeleton))
-    }
-
-    /// Writes an event.
-    ///
-    /// # Errors
-    /// As [`Writer::write`].
-    pub fn event(&mut self, event: &Event) -> Result<(), RecordError> {
-        let topic = match event.event_kind() {
-            Some(kind) => self.topics.events(kind),
-            None => self.topics.stage_events(),
-        };
-        self.write(&topic, Timestamp::from_ns(event.capture_time_ns), event)
-    }
-
-    /// Writes counters.
-    ///
-    /// # Errors
-    /// As [`Writer::write`].
-    pub fn status(&mut self, status: &Status) -> Result<(), RecordError> {
-        self.write(&self.topics.status(), Timestamp::from_ns(status.capture_time_ns), status)
-    }
-
-    /// Writes the true pose of a synthetic recording.
-    ///
-    /// # Errors
-    /// As [`Writer::write`].
-    pub fn truth_pose(
-        &mut self,
-        pose: &StampedPose,
-        skeleton: &body::Skeleton,
-    ) -> Result<(), RecordError> {
-        self.write(&self.topics.truth(), pose.capture, &Pose::from_core(pose, skeleton, None))
-    }
-
-    /// Writes the true body of a synthetic recording, valid from `at`.
-    ///
-    /// # Errors
-    /// As [`Writer::write`].
-    pub fn truth_skeleton(
-        &mut self,
-        skeleton: &body::Skeleton,
-        at: Timestamp,
-    ) -> Result<(), RecordError> {
-        self.write(&self.topics.truth_skeleton(), at, &Skeleton::from_core(skeleton))
     }
 
     /// Writes a message of ours on any topic, with log time `at`. MCAP has no times before the epoch: the

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
+use crate::io::bus::LONGEST_TOPIC;
 use crate::live::core::port::{Loss, MOST_BYTES, MOST_ORDER_BYTES};
 
 /// Most bytes that wait, at any number of messages.
@@ -184,7 +185,8 @@ impl Lanes {
             self.lanes.iter_mut().for_each(|lane| lane.taken = 0);
         }
         let (index, bytes) = (self.lane_of(&message.topic), message.payload.len());
-        if bytes > self.lanes[index].most_bytes {
+        // The journal has all topics.
+        if bytes > self.lanes[index].most_bytes || message.topic.len() > LONGEST_TOPIC {
             let loss = self.loss(index);
             (loss.too_large, loss.bytes) = (loss.too_large + 1, loss.bytes.max(bytes as u64));
             return;

@@ -171,7 +171,7 @@ class Motion:
     """The poses of a performer, sorted by time.
 
     `positions`: n x 22 x 3, joint centres in the world, metres. `rotations`: n x 22 x 4, quaternions x, y, z, w:
-    of the pelvis in the world, of the others in their parents; zero in a T-pose that faces +z. `deviations`:
+    of the pelvis in the world, of the others in their parents; 0, 0, 0, 1 in a T-pose that faces +z. `deviations`:
     n x 22, the standard deviation of each position along each axis, metres; NaN where it is not known.
     `rest_positions`: 22 x 3, the T-pose with the pelvis at the origin."""
 
@@ -240,7 +240,7 @@ class Pose:
 
 @final
 class Tracker:
-    """Solves frame by frame, with windows of ten frames. Several threads may share it: they wait for one
+    """Solves frame by frame, with windows of ten frames at 60 Hz, longer ones for fast cameras. Several threads may share it: they wait for one
     another."""
 
     def __new__(

@@ -237,7 +237,10 @@ impl Turns {
     fn of(a: &Matrix3<f64>, b: &Matrix3<f64>, u: &Vector3<f64>) -> Self {
         let inverse = b.transpose();
         let turn = so3::log(&(a.transpose() * b));
-        Self { moved: inverse * so3::hat(u), turned: so3::right_jacobian_inverse(&turn) * inverse }
+        Self {
+            moved: inverse * u.cross_matrix(),
+            turned: so3::right_jacobian_inverse(&turn) * inverse,
+        }
     }
 }
 
@@ -277,7 +280,7 @@ fn subtract_mean_tangent([a, b, _]: [&Keyframe; 3], step: f64, mean: &[f32], tan
     let inverse = b.root_rotation.transpose();
     let moved = b.root_position - a.root_position;
     let turns = Turns::of(&a.root_rotation, &b.root_rotation, &(moved * per));
-    let up = inverse * so3::hat(&Vector3::y());
+    let up = inverse * Vector3::y().cross_matrix();
     let (shift, turned) = (inverse * per, turns.turned * per);
     for (row, mean) in tangent.chunks_exact_mut(THREE).zip(mean.chunks_exact(STATE)) {
         for i in 0..LATENT {
