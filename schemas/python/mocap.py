@@ -71,7 +71,7 @@ class State:
 
 
 class Command:
-    """Publishes commands, such as Take. Programs that join later do not get a command; they do get the last messages of a `State`."""
+    """Publishes commands, such as Take. Late joiners get no commands, unlike the messages of a `State`."""
 
     def __init__(self, session, topic):
         self._publisher = session.declare_publisher(topic, congestion_control=zenoh.CongestionControl.BLOCK)

@@ -90,7 +90,7 @@ class Scene:
     def _pose(self, actor, pose):
         path = f"world/performers/{actor}"
         if pose.state == TRACKING_STATE_LOST:
-            # Rerun shows the last value until then.
+            # Without this, Rerun goes on showing the last pose.
             rr.log(path, rr.Clear(recursive=True))
             return
         parents = self._parents.get(actor)

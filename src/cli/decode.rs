@@ -14,7 +14,7 @@ use super::span::Times;
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 use crate::core::manifold::{Decoder, StampedKeyframe};
-use crate::io::recording::{METADATA, Message, Provenance, Reader, TAKE, Writer};
+use crate::io::recording::{Message, Provenance, Reader, TAKE, Writer};
 use crate::io::timecode::House;
 use crate::io::wire::{self, Topic, Topics};
 
@@ -69,8 +69,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let mut reader = Reader::open(&arguments.file)?;
     let weights = fingerprint(&decoder);
     // The settings have the timecode.
-    let config = reader.metadata().get(METADATA).and_then(|ours| ours.get("config"));
-    let config = config.cloned().unwrap_or_default();
+    let config = reader.own_metadata("config").cloned().unwrap_or_default();
     let provenance = Provenance { config, weights: weights.clone(), ..Provenance::default() };
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance)?;
     let (mut performers, mut decoded) =

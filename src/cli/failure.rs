@@ -51,11 +51,12 @@ Exit codes:
    3  an input is missing or cannot be read
    4  malformed input
    5  nobody found: no performer in two cameras
-   6  partly done: windows that fit badly, a damaged recording, a replay up to lost inputs or a restart;
-      one of several takes of `solve`, `summary` or `check` failed; `body` left out a take, `calibrate` a
-      camera that changes; `record` lost or got no messages, or the disk is full; `play` lost its
-      connection; a node or recorder did not answer `take`, or refused; no poses came for `retarget --out`
-      or `bridge vmc`; `decode` left out windows whose previous keyframe is missing
+   6  partly done: windows that fit badly; a damaged recording; a replay up to lost inputs or a
+      restart; a failed take among several of `solve`, `summary` or `check`; a take that `body` left
+      out; a camera that `calibrate` left out; `record` lost or got no messages, or the disk is full;
+      `play` lost its connection; a node or recorder did not answer `take`, or refused; no poses came
+      for `retarget --out` or `bridge vmc`, or `retarget` could not write a file; `decode` left out
+      windows without their previous keyframe
    7  no detections in the folder
    8  a camera without calibration, or the reverse
    9  unusable calibration

@@ -122,6 +122,7 @@ impl Network {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     within("--speed", arguments.speed, 0.01, 100.0)?;
     let disturbance = arguments.network.disturbance()?;
+    // A wrong --start-at is found before the file is read.
     start(arguments, &SteadyClock::new(Stop::default()))?;
     let config = arguments.bus.settings()?;
     let span = arguments.span.within(&Times::of(&arguments.file, Some(&config))?)?;

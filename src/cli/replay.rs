@@ -13,7 +13,7 @@ use super::terminal::{complain, say, table};
 use crate::config::Config;
 use crate::core::time::Timestamp;
 use crate::core::tracker::Solver;
-use crate::io::recording::{METADATA, Provenance, RawEntry, Reader, Writer};
+use crate::io::recording::{Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
 use crate::live::{
     Carried, Gap, Recorded, ReplayError, Replayed, Settings, find_nodes, platform, replay,
@@ -165,7 +165,7 @@ fn read(path: &Path) -> Result<(Vec<Recorded>, Option<String>), Failure> {
     for lost in reader.report().losses() {
         complain("warning", &format!("{}: {lost}", path.display()));
     }
-    let take = reader.metadata().get(METADATA).and_then(|ours| ours.get("take")).cloned();
+    let take = reader.own_metadata("take").cloned();
     Ok((messages, take))
 }
 

@@ -12,7 +12,7 @@ use super::export::{Changes, Lost, Solved, cut, path_of, read, states_of, write_
 use super::failure::{Exit, Failure, done_or_in_part, failures};
 use super::overwrite::{Overwrite, check_ending, is_no_input, is_same_file};
 use super::retarget_file::{TargetFile, Written};
-use super::retarget_live::{Live, Retargeted};
+use super::retarget_live::{Live, Retargeted, warn_unwritten};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
@@ -236,15 +236,16 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
             }
             Ok(None) => {}
             Err(error) => {
-                complain("warning", &format!("a file is not written: {}", error.line()));
+                warn_unwritten(&error);
                 unwritten += 1;
             }
         }
     }
-    match (unwritten, is_written) {
-        (0, true) => return Ok(Exit::Done),
-        (0, false) => {}
-        _ => return Ok(Exit::InPart),
+    if unwritten > 0 {
+        return Ok(Exit::InPart);
+    }
+    if is_written {
+        return Ok(Exit::Done);
     }
     let fix = "check --stage, --actor and whether the node runs";
     complain("warning", &format!("{} not written: no poses arrived; {fix}", out.display()));

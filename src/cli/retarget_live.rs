@@ -156,14 +156,13 @@ impl<'a> Live<'a> {
         let figure = retarget.apply(&stamped.pose, skeleton)?;
         let message = figure.message(&wire, retarget.target());
         let encoding = media_type(&RetargetedPose::full_name());
-        let written = path.as_ref().map(|path| {
+        let failed = path.as_ref().and_then(|path| {
             let new = || TargetFile::new(path, None, file_start(capture, first));
-            file.get_or_insert_with(new).add(capture, &figure, retarget)
+            file.get_or_insert_with(new).add(capture, &figure, retarget).err()
         });
         // The poses still go out, and those of others to their files.
-        let is_unwritten = matches!(written, Some(Err(_)));
-        if let Some(Err(error)) = written {
-            complain("warning", &format!("a file is not written: {}", error.line()));
+        if let Some(error) = &failed {
+            warn_unwritten(error);
             (*path, *file) = (None, None);
         }
         match publisher.put(capture, &encoding, &encode(&message)) {
@@ -175,9 +174,14 @@ impl<'a> Live<'a> {
                 served.unsent += 1;
             }
         }
-        served.unwritten += u64::from(is_unwritten);
+        served.unwritten += u64::from(failed.is_some());
         Ok(())
     }
+}
+
+/// Warns that the file of a performer is not written.
+pub(super) fn warn_unwritten(error: &Failure) {
+    complain("warning", &format!("a file is not written: {}", error.line()));
 }
 
 /// The message, if it has the schema.

@@ -310,3 +310,22 @@ fn people(path: &Path) -> Vec<Drawn> {
     };
     solved.performers.into_iter().map(drawn).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Vector3};
+
+    use super::*;
+    use crate::core::camera::Lens;
+
+    #[test]
+    fn the_width_of_view_is_that_of_the_lens() {
+        let k = Matrix3::new(800.0, 0.0, 639.5, 0.0, 800.0, 511.5, 0.0, 0.0, 1.0);
+        for (lens, wide) in [(Lens::Fisheye([0.0; 4]), 92), (Lens::IDEAL, 77)] {
+            let (turn, at) = (Matrix3::identity(), Vector3::zeros());
+            let camera = Camera::new("a", [1280, 1024], &k, lens, turn, at).unwrap();
+            let said = row(&camera).1;
+            assert!(said.contains(&format!("{wide} degrees wide")), "{said}");
+        }
+    }
+}

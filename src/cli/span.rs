@@ -7,10 +7,11 @@ use clap::Args;
 use super::failure::{Exit, Failure};
 use crate::config::{Config, TimecodeConfig};
 use crate::core::time::{Nanos, Timestamp};
-use crate::io::recording::{METADATA, RawEntry, Reader, TAKE};
+use crate::io::recording::{RawEntry, Reader, TAKE};
 use crate::io::timecode::House;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{Journal, KeypointFrame, Pose, Schema, decode};
+use crate::io::with_ending;
 use crate::offline::output::text;
 
 /// A node's settings are searched in this much of a live recording.
@@ -81,8 +82,8 @@ pub(super) struct Times {
 impl Times {
     pub(super) fn of(path: &Path, config: Option<&Config>) -> Result<Self, Failure> {
         let mut reader = Reader::open(path)?;
-        let ours = reader.metadata().get(METADATA).and_then(|ours| ours.get("config"));
-        let theirs = ours.and_then(|toml| Config::parse_partial(toml, path).ok());
+        let theirs = reader.own_metadata("config");
+        let theirs = theirs.and_then(|toml| Config::parse_partial(toml, path).ok());
         let of = |config: &Config| config.timecode.clone();
         let given = config.map(of).filter(|timecode| timecode.house().is_ok_and(|h| h.is_some()));
         let mut timecode = given.or_else(|| theirs.as_ref().map(of)).unwrap_or_default();
@@ -151,10 +152,8 @@ impl Times {
     /// `take1.trc.timecode.txt` of take1.trc.
     pub(super) fn sidecar(&self, file: &Path) -> Option<PathBuf> {
         let is_bvh = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("bvh"));
-        let mut name =
-            if is_bvh { file.with_extension("") } else { file.to_owned() }.into_os_string();
-        name.push(".timecode.txt");
-        self.house.map(|_| name.into())
+        let stem = if is_bvh { file.with_extension("") } else { file.to_owned() };
+        self.house.map(|_| with_ending(&stem, ".timecode.txt"))
     }
 
     /// Timecode and rate of a frame, or else of the first one, if there is a timecode.

@@ -16,7 +16,7 @@ use crate::live::WallClock;
 
 /// Time from opening the bus to the command, for nodes and recorders to connect.
 const LEAD: Duration = Duration::from_millis(500);
-/// Longest wait for answers: a recorder ends a file a second after the command.
+/// Longest wait for answers: a recorder ends a file up to three seconds after the command.
 pub(super) const PATIENCE: Duration = Duration::from_secs(4);
 /// Wait for further answers once a node and a recorder have answered.
 const GRACE: Duration = Duration::from_millis(300);
@@ -28,7 +28,7 @@ Actions:
   start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take,
          so that `replay` can verify it alone: they keep calibration, body, latency and time
          offsets, search the performer anew, and publish no poses for some tenths of a second.
-  stop   Recorders end the file, one second later. Nodes go on.
+  stop   Recorders end the file, one second and the latency later. Nodes go on.
   reset  Nodes forget the performers' bodies, or that of performer NAME: somebody else comes.
   name   Performer NAME is called NEW_NAME from now on, also in the topics. A performer who had
          this name and is not here any more loses it.

@@ -316,7 +316,7 @@ fn unread(path: &Path, error: &std::io::Error) -> Failure {
     Failure::new(Exit::Unreadable, format!("{}: cannot be read ({error})", path.display()))
 }
 
-/// The take in this folder was solved alone: removes what an earlier solve among others tells of it.
+/// Removes the manifest of an earlier solve of several takes: this take was solved alone.
 fn forget_manifest(folder: &Path) {
     let path = folder.join(MANIFEST);
     let text = std::fs::read_to_string(&path).unwrap_or_default();

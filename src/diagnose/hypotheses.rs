@@ -132,7 +132,7 @@ pub(super) fn poses(reading: &Reading) -> Vec<Hypothesis> {
         let finding = Finding::new(
             "position_as_translation",
             "its translation is the camera's position",
-            "write -R times it",
+            "write the translation as -R times the position",
         );
         add(finding, rotation, -(rotation * up.transpose() * translation));
     }

@@ -119,7 +119,7 @@ fn upright(up: [f64; 3]) -> Option<Finding> {
     }
     let along = format!("{}{}", if up[axis] < 0.0 { "-" } else { "" }, ["x", "y", "z"][axis]);
     let fix = format!(
-        "if the performer is upright, --up {along} of check and solve mends this recording; or import it again with another --up"
+        "if the performer stands upright and no --up was given: give --up {along} to check and solve; else give another --up"
     );
     let what = format!("the performer is not upright: {along} points from hips to shoulders");
     Some(Finding::new("up_axis", what, fix))

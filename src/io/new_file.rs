@@ -49,6 +49,10 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// How the names of temporary files begin and end.
 const TEMPORARY: [&str; 2] = [".bundlemocap-", ".part"];
 
+/// Temporary files of this process, of which some are complete.
+#[cfg(feature = "cli")]
+static OPEN: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
 /// Removes temporary files that a killed process left in a folder, as far as possible. Nobody may be writing there.
 #[cfg(feature = "cli")]
 pub(crate) fn remove_parts(folder: &Path) {
@@ -70,19 +74,17 @@ pub(crate) fn temporary(path: &Path) -> io::Result<NamedTempFile> {
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
+    // A signal between the making of the file and its entry would leave it.
+    #[cfg(feature = "cli")]
+    let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
     let file = builder.tempfile_in(folder.unwrap_or(Path::new(".")))?;
     #[cfg(feature = "cli")]
     {
-        let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
         open.retain(|path| path.exists());
         open.push(file.path().to_owned());
     }
     Ok(file)
 }
-
-/// Temporary files of this process, of which some are complete.
-#[cfg(feature = "cli")]
-static OPEN: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// Removes the temporary files of this process, which ends.
 #[cfg(feature = "cli")]

@@ -18,6 +18,8 @@ use crate::core::time::Timestamp;
 const PIECE: usize = 32;
 /// Samples from one segment's start to the next.
 const HOP: usize = PIECE / 2;
+/// Samples further apart than this are on two sides of a gap, periods.
+const GAP_PERIODS: f64 = 1.5;
 /// A detected person is the performer if the median residual is below this share of the height.
 const GATE: f64 = 0.25;
 /// Number of confidence bins between 0 and 1.
@@ -288,7 +290,7 @@ impl PointTrack {
         let mut last = f64::NEG_INFINITY;
         for &(seconds, seen) in &self.samples {
             let Some(seen) = seen else { continue };
-            let follows = seconds - last < 1.5 / fps;
+            let follows = seconds - last < GAP_PERIODS / fps;
             match runs.last_mut() {
                 Some(run) if follows => run.push(seen.residual),
                 _ => runs.push(vec![seen.residual]),
@@ -314,7 +316,7 @@ impl PointTrack {
     /// Lengths of runs of missing frames, seconds.
     fn gaps(&self, fps: f64) -> Vec<f64> {
         let follows = |(a, one): &(f64, Option<_>), (b, next): &(f64, Option<_>)| {
-            one.is_none() == next.is_none() && b - a < 1.5 / fps
+            one.is_none() == next.is_none() && b - a < GAP_PERIODS / fps
         };
         let runs = self.samples.chunk_by(follows).filter(|run| run[0].1.is_none());
         runs.map(|run| run.len() as f64 / fps).collect()

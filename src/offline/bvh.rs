@@ -15,7 +15,7 @@ const MOST_FILL_S: f64 = 600.0;
 /// Most frames that are filled in a file: that time at the highest frame rate.
 const MOST_FILL: f64 = 600_000.0;
 
-/// Poses are not moved by more than so many periods in a file.
+/// Largest time shift of a pose in a file, periods.
 const MOST_OFF: f64 = 0.75;
 
 /// Computes how often a pose must be repeated, or that it must be left out, so that each frame of a file is at its time.
@@ -106,7 +106,7 @@ impl BvhFile {
         Ok(Self { writer, fill, last: None, states: States::default() })
     }
 
-    /// Adds a pose. Poses are in order of capture time.
+    /// Adds a pose, or leaves it out if the file has no place for it. Poses are in order of capture time.
     pub(crate) fn write(&mut self, pose: &CompactPose) -> Result<(), Error> {
         let Some(gap) = self.fill.gap_before(pose.capture) else { return Ok(()) };
         let held = self.last.as_ref().unwrap_or(pose).pose();

@@ -78,9 +78,9 @@ impl CameraStates {
         let Some(index) = event.camera else { return };
         let Some(camera) = self.cameras.get_mut(index) else { return };
         camera.event(event.kind, event.count);
-        let is_unused =
+        let unused =
             [EventKind::Late, EventKind::Abandoned, EventKind::Duplicate, EventKind::Unusable];
-        if is_unused.contains(&event.kind) {
+        if unused.contains(&event.kind) {
             self.used[index] = self.used[index].saturating_sub(event.count);
         }
     }

@@ -158,11 +158,10 @@ struct Corrected {
     late: Nanos,
     /// What else was wrong.
     notes: Vec<String>,
-    /// Of a correction that is not confirmed: the mean error of the camera before, and by how much it was late, if that
-    /// was corrected.
+    /// A correction that is not confirmed: the camera's mean error before it, and the time shift that it removed, if any.
     unconfirmed: Option<(f64, Option<Nanos>)>,
     /// Whether a correction was undone: no others are tried.
-    is_right: bool,
+    was_undone: bool,
 }
 
 impl FirstPass {
@@ -374,10 +373,10 @@ impl FirstPass {
                         one.notes.pop();
                     }
                 }
-                one.is_right = true;
+                one.was_undone = true;
                 has_changed = true;
             }
-            let Some(wrong) = row.times.filter(|_| more && !one.is_right) else { continue };
+            let Some(wrong) = row.times.filter(|_| more && !one.was_undone) else { continue };
             let late = wrong.late();
             match late {
                 // The performer's motion tells small ones more exactly.

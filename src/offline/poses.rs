@@ -19,7 +19,7 @@ use crate::metrics::{Distribution, Floor, FootSkate, FootSkateSums, MeanAccelera
 
 /// Number of first poses that give the frame rate; they wait in memory until then.
 const HEAD: usize = 4096;
-/// The frame rate of a single pose.
+/// Frame rate of a single pose, hertz.
 const FALLBACK_FPS: f64 = 60.0;
 /// Most poses of all performers that play in the report: 36 minutes of one at 60 Hz, fewer a second of a longer
 /// take. So many take 34 MB in report.html.

@@ -36,8 +36,8 @@ pub struct Recording {
     seen: BTreeMap<String, CameraInfo>,
     /// First and last capture time that is used, if not all are.
     span: Option<[Timestamp; 2]>,
-    /// First and last time of the recording.
-    whole: Option<[Timestamp; 2]>,
+    /// First and last log time of the file.
+    log_span: Option<[Timestamp; 2]>,
     /// What is wrong with the capture times of cameras, by name; it is corrected.
     wrong_times: BTreeMap<String, Vec<WrongTimes>>,
     /// Its first calibration, if that is used.
@@ -108,7 +108,7 @@ impl Recording {
         }
         let used = info.cameras.iter().filter(|(name, _)| rig.index_of(name).is_some());
         let format = Formats::of(used.map(|(name, one)| (&**name, &*one.format))).usual;
-        let (is_whole, seen, whole) = (info.report.is_clean(), info.cameras, info.span);
+        let (is_whole, seen, log_span) = (info.report.is_clean(), info.cameras, info.span);
         let (span, wrong_times) = (None, BTreeMap::new());
         let recording = Self {
             reader,
@@ -120,7 +120,7 @@ impl Recording {
             is_whole,
             seen,
             span,
-            whole,
+            log_span,
             wrong_times,
             own_rig,
             has_other_rig: false,
@@ -157,7 +157,7 @@ impl Recording {
 
     /// About the number of them that are used.
     pub(crate) fn frames_in_span(&self) -> u64 {
-        let (Some([first, last]), Some([begin, end])) = (self.span, self.whole) else {
+        let (Some([first, last]), Some([begin, end])) = (self.span, self.log_span) else {
             return self.frames;
         };
         let part = last.min(end).seconds_since(first.max(begin)) / end.seconds_since(begin);

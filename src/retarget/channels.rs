@@ -69,7 +69,8 @@ fn axes(channels: &[Channel]) -> Axes {
     }
 }
 
-/// The rotation that a joint's channels have for this one; with three channels, `rotation` itself.
+/// The rotation that a joint's channels give for `rotation`: with three channels itself, with two without its third
+/// angle.
 pub(super) fn reachable(channels: &[Channel], rotation: &Matrix3<f64>) -> Matrix3<f64> {
     let axes = axes(channels);
     if let Axes::Three(_) = axes {

@@ -163,8 +163,9 @@ impl Mapping {
         target.upwards(hips).skip(1).for_each(|above| self.follow[above] = Follow::World);
         let branch = self.branch(target, hips);
         let chest = named[Spine3.index()].unwrap_or(branch);
-        for &above in &chain(target, chest, branch)[1..] {
-            self.follow[above] = Follow::Ours(Spine3, Spine3, 0.0);
+        // From a named chest to where arms and head branch off, all turn with it.
+        for &joint in &chain(target, chest, branch)[1..] {
+            self.follow[joint] = Follow::Ours(Spine3, Spine3, 0.0);
         }
         let trunk = chain(target, hips, chest);
         self.spread(target, &trunk[1..], &[Pelvis, Spine1, Spine2, Spine3], named)?;

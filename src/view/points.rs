@@ -28,12 +28,11 @@ impl Points {
         match Topic::parse(topic).ok()? {
             Topic::Stage { channel: StageChannel::Keypoints { .. }, .. } => {
                 let frame = decode::<KeypointFrame>(payload).ok()?;
-                let is_same = self.format.is_some_and(|format| format.name() == frame.format);
                 let is_over = || frame.capture_time_ns.abs_diff(self.seen_ns) > FORGOTTEN;
-                if !is_same && self.format.is_some() && !is_over() {
-                    return None;
-                }
-                if !is_same {
+                if self.format.is_none_or(|format| format.name() != frame.format) {
+                    if self.format.is_some() && !is_over() {
+                        return None;
+                    }
                     self.format = KeypointFormat::from_name(&frame.format);
                     self.points = self.format.map(fitted_points).unwrap_or_default();
                 }

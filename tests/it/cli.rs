@@ -921,9 +921,10 @@ fn a_shelf_of_takes_is_solved_once() {
 #[test]
 fn a_command_that_is_stopped_leaves_no_half_files() {
     let place = Place::new();
-    let synth = place.start("synth --out long.mcap --seconds 3600");
+    let mut synth = place.start("synth --out long.mcap --seconds 3600");
     let files = || fs::read_dir(place.path("")).unwrap().count();
     while files() == 0 {
+        assert!(!synth.is_over());
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
     assert_eq!(synth.interrupt().code, None, "it ends by the signal");

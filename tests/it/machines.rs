@@ -65,7 +65,7 @@ fn performers_move_between_programs() {
         assert!(program.has_said(said));
         program
     };
-    start_in(folder, &crowd(120)).ended();
+    assert_eq!(start_in(folder, &crowd(120)).ended().code, Some(0));
     let mut a = start("run a.toml", "waiting: ");
     let front = start("run front.toml", "listening: ");
     assert!(a.has_said("listening: "));
@@ -140,7 +140,7 @@ fn a_standby_of_the_front_knows_the_people() {
     let text = std::fs::read_to_string(&front).unwrap();
     std::fs::write(&front, text.replace("listen", "mode = \"client\"\nconnect")).unwrap();
     let start = |line: &str| start_in(folder, line);
-    start(&crowd(12)).ended();
+    assert_eq!(start(&crowd(12)).ended().code, Some(0));
     let (mut first, mut solver) = (start("run front.toml"), start("run a.toml"));
     let mut recorder = start(&format!("record take.mcap --connect {address}"));
     assert!(first.has_said("listening: ") && solver.has_said("listening: "));

@@ -91,20 +91,12 @@ impl Setup {
 
     /// Keeps the first rig, and says so if there are more.
     pub(super) fn keep_first_rig(&mut self) {
-        let rigs = &mut self.protocol.rigs;
-        if rigs.len() > 1 {
-            note(&format!("only the first rig is used, {}", rigs[0]));
-            rigs.truncate(1);
-        }
+        keep_first("rig", &mut self.protocol.rigs);
     }
 
     /// Keeps the first seed, and says so if there are more.
     pub(super) fn keep_first_seed(&mut self) {
-        let seeds = &mut self.protocol.seeds;
-        if seeds.len() > 1 {
-            note(&format!("only the first seed is used, {}", seeds[0]));
-            seeds.truncate(1);
-        }
+        keep_first("seed", &mut self.protocol.seeds);
     }
 
     /// The view of a level of noise with the first rig and the first seed.
@@ -192,6 +184,13 @@ impl Setup {
             rigs.join(" and "),
             seeds.join(", ")
         )
+    }
+}
+
+fn keep_first(what: &str, all: &mut Vec<impl std::fmt::Display>) {
+    if all.len() > 1 {
+        note(&format!("only the first {what} is used, {}", all[0]));
+        all.truncate(1);
     }
 }
 

@@ -17,6 +17,7 @@ use crate::io::formats::pose_table::{TimedPose, write_csv, write_deviations};
 use crate::io::formats::trc::{Markers, write_trc};
 use crate::io::formats::usd::write_usda;
 use crate::io::formats::{Description, ExportError, Unit};
+use crate::io::with_ending;
 use crate::offline::Motion;
 use crate::offline::bvh::{BvhFile, Fill, HELD, States};
 use crate::offline::compact_pose::CompactPose;
@@ -68,9 +69,7 @@ impl Format {
 
 /// The file beside `take1.trc`: `take1.trc.sd.csv`. It has the rate of that file.
 fn deviations_of(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".sd.csv");
-    name.into()
+    with_ending(path, ".sd.csv")
 }
 
 /// The file beside an animation that says which frames are lost.

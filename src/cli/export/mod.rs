@@ -51,12 +51,12 @@ that faces +z; in .mot it stands with straight legs and hanging arms, and x of t
 other files. All rotations are zero then. In .glb and .usda they are zero with --axes world only; else
 the joints have y along their bones. In .usda a `:` of a joint's name is `_`. Frames and times count
 from the first frame of the take, or from --start of export or of solve. Without --start, frame n of
-.bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of the
-poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at most ten
-minutes in all. .glb and .usda hold the pose in gaps longer than 0.25 s and 1.5 periods; in shorter gaps,
-programs interpolate. .trc (nan) and .c3d are empty before the first pose, in gaps, and where the
-performer is lost or coasting; .c3d has events there. The standard deviations of the joint centres,
-metres, are in take1.trc.sd.csv beside take1.trc; the same for .c3d.
+.bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of
+the poses. Before a performer's first pose and in gaps, .bvh, .mot and .npz repeat a pose, and .trc
+(nan) and .c3d are empty. At most ten minutes per file are filled. In gaps longer than 0.25 s and
+1.5 periods, .glb and .usda hold the pose; in shorter gaps, programs interpolate. .trc and .c3d are
+also empty where the performer is lost or coasting; .c3d has events there. take1.trc.sd.csv has the
+standard deviations of the joint centres, in metres, for take1.trc; the same for .c3d.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb

@@ -1,5 +1,6 @@
 //! What the commands that talk to a running node share.
 
+mod before;
 mod disturb;
 pub mod inbox;
 mod numbers;

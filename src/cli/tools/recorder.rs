@@ -1,14 +1,15 @@
 //! Recordings of what is on the bus: one of everything, and one of each take.
 //!
-//! A take's file begins with the calibration and the inputs of the second before its slate: a node
-//! may handle them after the slate. It ends a second after the take, when the last poses are there.
+//! A take's file begins with the calibration, the last hand-overs, and the inputs of the second before its slate: a node
+//! may handle them after the slate. It ends a second and the latency (at most two seconds) after the take.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
 
+use super::before::{Before, MARGIN};
 use super::numbers::Numbers;
 use super::room::Room;
 use super::silence::Silence;
@@ -18,18 +19,10 @@ use crate::io::wire::{
     ActorChannel, StageChannel, Status, Take, Topic, Topics, decode, valid_name,
 };
 
-/// Inputs of this time before a take are in its file, and messages of this time after it.
-const MARGIN: Nanos = Nanos::SECOND;
 /// The list of notes in the folder of takes.
 const NOTES: &str = "takes.csv";
-/// Most topics of which the last hand-over is kept.
-const MOST_HANDED: usize = 256;
-/// The longest latency that the end of a file waits for: commands are answered soon.
+/// Limit of the wait for the last poses at the end of a file, so that commands are answered soon.
 const LONGEST_LATENCY: Nanos = Nanos::from_ms(2000);
-/// Most inputs that are kept for the next take.
-const MOST_RECENT: usize = 65_536;
-/// Most bytes of their payloads.
-const MOST_RECENT_BYTES: usize = 256 << 20;
 
 /// Counts of recorded messages.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -159,15 +152,9 @@ pub(crate) struct Recorder {
     skipped: u64,
     /// Number of takes that could not be completed.
     failed: u64,
-    rig: Option<RawEntry>,
-    /// By topic, what a solver told last of a performer: solvers that start later begin with it.
-    handed: BTreeMap<Arc<str>, RawEntry>,
-    /// The longest latency of a node since the take began: its last poses come as late.
+    before: Before,
+    /// The longest latency of a node so far: its last poses come this late.
     latency: Nanos,
-    /// The inputs of the last second.
-    recent: VecDeque<RawEntry>,
-    /// Bytes of their payloads.
-    recent_bytes: usize,
     silence: Silence,
     room: Room,
     /// Topics above the limit are not said again.
@@ -198,11 +185,8 @@ impl Recorder {
             ending: Vec::new(),
             skipped: 0,
             failed: 0,
-            rig: None,
-            handed: BTreeMap::new(),
+            before: Before::default(),
             latency: Nanos::ZERO,
-            recent: VecDeque::new(),
-            recent_bytes: 0,
             silence: Silence::default(),
             room: Room::default(),
             is_skipping_said: false,
@@ -238,52 +222,22 @@ impl Recorder {
         said.extend(self.each(|file| file.write(&entry))?);
         self.room.wrote(entry.payload.len());
         self.silence.came(&entry.topic, entry.log_time);
-        let topic = Topic::parse(&entry.topic);
-        let is_own = topic.as_ref().is_ok_and(|topic| *topic.stage() == *self.topics.stage);
-        if !is_own {
+        let Ok(topic) = Topic::parse(&entry.topic) else { return Ok(said) };
+        if topic.stage() != self.topics.stage {
             return Ok(said);
         }
-        match &topic {
-            Ok(Topic::Actor { channel: ActorChannel::HandOver, .. }) => {
-                self.handed.insert(Arc::clone(&entry.topic), entry.clone());
-                if self.handed.len() > MOST_HANDED {
-                    let oldest = self.handed.iter().min_by_key(|(_, entry)| entry.log_time);
-                    let oldest = oldest.map(|(topic, _)| Arc::clone(topic));
-                    oldest.and_then(|oldest| self.handed.remove(&oldest));
-                }
+        match topic {
+            Topic::Stage { channel: StageChannel::Status, .. } => {
+                decode(&entry.payload).iter().for_each(|status| self.silence.forget_absent(status));
             }
-            Ok(Topic::Actor { channel: ActorChannel::Status, .. }) => {
+            Topic::Actor { channel: ActorChannel::Status, .. } => {
                 let latency = decode::<Status>(&entry.payload).map_or(0, |s| s.declared_latency_ns);
                 let latency = Nanos::new(i64::try_from(latency).unwrap_or(0)).min(LONGEST_LATENCY);
                 self.latency = self.latency.max(latency);
             }
             _ => {}
         }
-        match topic {
-            Ok(Topic::Stage { channel: StageChannel::Rig, .. }) => self.rig = Some(entry),
-            Ok(Topic::Stage { channel: StageChannel::Status, .. }) => {
-                decode(&entry.payload).iter().for_each(|status| self.silence.forget_absent(status));
-            }
-            Ok(
-                Topic::Stage { channel: StageChannel::Keypoints { .. }, .. }
-                | Topic::Actor {
-                    channel: ActorChannel::Keypoints | ActorChannel::HandOver | ActorChannel::Status,
-                    ..
-                },
-            ) => {
-                let from = entry.log_time - MARGIN;
-                self.recent_bytes += entry.payload.len();
-                self.recent.push_back(entry);
-                while self.recent.len() > MOST_RECENT
-                    || self.recent_bytes > MOST_RECENT_BYTES
-                    || self.recent.front().is_some_and(|first| first.log_time < from)
-                {
-                    let first = self.recent.pop_front();
-                    self.recent_bytes -= first.map_or(0, |first| first.payload.len());
-                }
-            }
-            _ => {}
-        }
+        self.before.keep(entry);
         Ok(said)
     }
 
@@ -397,7 +351,6 @@ impl Recorder {
 
     fn begin(&mut self, take: &Take, now: Timestamp) -> Result<Vec<Said>, RecordError> {
         self.stop(None, now);
-        self.latency = Nanos::ZERO;
         let free = match self.room.free() {
             Ok(free) => free,
             Err(why) => return Ok(vec![Said::Answer(take.id, Err(why))]),
@@ -411,14 +364,8 @@ impl Recorder {
             Ok(file) => file,
             Err(error) => return Ok(vec![Said::Answer(take.id, Err(error.to_string()))]),
         };
-        let begin = now - MARGIN;
-        // It may have come long before the take.
-        let earlier = self.handed.values().filter(|entry| entry.log_time < begin);
-        let at_begin = |entry: &RawEntry| RawEntry { log_time: begin, ..entry.clone() };
-        let known: Vec<RawEntry> = self.rig.iter().chain(earlier).map(at_begin).collect();
-        for entry in known.iter().chain(self.recent.iter().filter(|entry| entry.log_time >= begin))
-        {
-            if let Err(error) = file.write(entry) {
+        for entry in self.before.take(now) {
+            if let Err(error) = file.write(&entry) {
                 return Ok(vec![Said::Answer(take.id, Err(error.to_string()))]);
             }
         }

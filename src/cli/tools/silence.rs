@@ -20,7 +20,7 @@ const MOST_NAMES: usize = 8;
 pub(super) struct Silence {
     /// When the last message came, and whether the silence was reported.
     streams: BTreeMap<Arc<str>, (Timestamp, bool)>,
-    /// By name of a performer, now or before, the node whose status had it.
+    /// The node of each performer, by present and former names.
     performers: BTreeMap<String, String>,
 }
 

@@ -229,7 +229,7 @@ mod tests {
         }
         paths.dedup();
         if paths.len() == 1 {
-            println!("skipped: this processor has one path");
+            println!("not compared: this processor has one path");
         }
         let on = |path: Path| {
             FORCED.set(Some(path));

@@ -20,9 +20,9 @@ pub struct LevenbergMarquardt {
 
 /// Above this damping no step is tried any more.
 const MAX_DAMPING: f64 = 1e12;
-/// A chord step follows a step that lowered the cost by less than this part of it...
+/// A chord step follows only if the last step lowered the cost by less than this part of it.
 const CHORD_CHANGE: f64 = 0.5;
-/// ... and by more than this part of what was predicted.
+/// It also needs a real gain above this part of the predicted one.
 const CHORD_GAIN: f64 = 0.5;
 /// Keeps the damped diagonal positive where that of the Hessian is zero.
 const MIN_DIAGONAL: f64 = 1e-9;

@@ -125,8 +125,8 @@ impl Stage {
         }
     }
 
-    /// Live: what the lead has found out about the cameras holds for all performers. If the lead is not
-    /// tracked any more, another one takes over.
+    /// Live: what the lead has found out about the cameras holds for all performers. If the lead is neither tracked nor
+    /// hidden for a moment, another one takes over.
     pub(super) fn share_cameras(&mut self) {
         let Some(live) = self.template.live_settings().filter(|_| self.crowd.is_some()) else {
             return;

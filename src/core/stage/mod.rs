@@ -292,7 +292,8 @@ impl Stage {
         &mut self.trackers
     }
 
-    /// The tracker whose times hold for all: that of the lead, a performer who is tracked, or that of the next performer.
+    /// The tracker whose times hold for all: the lead's; of frames that another stage assigned, that of the first performer
+    /// who is tracked. Without one, that of the next performer.
     pub fn lead(&self) -> &Tracker {
         let lead = match self.is_associated {
             true => self.trackers.iter().find(|tracker| is_tracked(tracker)),

@@ -76,7 +76,7 @@ named! {
         Idle = "idle",
         /// Which clock the cameras use, against the node's.
         Clock = "clock",
-        /// A command was followed: a take began, was joined or ended, a body was forgotten, a performer was named, and so on.
+        /// A command was executed: a take began, was joined or ended, a body was forgotten, a performer was named, and so on.
         Take = "take",
         /// A performer was seen for the first time, with several on the stage.
         Entered = "entered",
@@ -118,5 +118,8 @@ mod tests {
         for kind in EventKind::ALL {
             assert!(docs.contains(&format!("| `{}` | ", kind.name())), "{}", kind.name());
         }
+        let (_, events) = docs.split_once("## Events").unwrap();
+        let (events, _) = events.split_once("## The log").unwrap();
+        assert_eq!(events.matches("\n| `").count(), EventKind::ALL.len());
     }
 }

@@ -35,7 +35,7 @@ fn shared<T>(all: Vec<T>) -> Shared<T> {
 const MAX_CONTAINERS: usize = 20_000;
 /// Values of the tree, at most.
 const MAX_VALUES: usize = 200_000;
-/// A long text or array counts as one value more for each of so many bytes.
+/// This many bytes of a text or array count as one value.
 const BYTES_OF_VALUE: usize = 4000;
 
 /// The pickle as a tree. Arrays are flat lists of their numbers, row by row.
@@ -257,7 +257,7 @@ fn plain(item: &Item, depth: usize, count: &mut usize) -> Result<Value, String> 
     if depth > MAX_DEPTH || *count > MAX_VALUES {
         return Err("pickle: it holds too much".into());
     }
-    // A value with many references is copied as often.
+    // A value is copied once for each reference.
     *count += match item {
         Item::Plain(Value::String(text)) => text.len() / BYTES_OF_VALUE,
         Item::Bytes(bytes) => bytes.len() / BYTES_OF_VALUE,

@@ -41,5 +41,5 @@ pub const METADATA: &str = "bundlemocap";
 pub const TAKE: &str = "bundlemocap.take";
 /// Longest record, packed or unpacked, that is read into memory, bytes.
 const RECORD_LIMIT: usize = 64 << 20;
-/// The largest index. That of a recording of hours has many records.
+/// Largest index that is read, bytes. That of a recording of hours has many records.
 const INDEX_LIMIT: u64 = 1 << 30;

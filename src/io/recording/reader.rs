@@ -100,6 +100,11 @@ impl Reader {
         &self.scan.metadata
     }
 
+    /// The value under `key` in our own metadata record, such as `config`; `None`: there is none.
+    pub fn own_metadata(&self, key: &str) -> Option<&String> {
+        self.metadata().get(super::METADATA)?.get(key)
+    }
+
     pub(super) fn channels(&self) -> impl Iterator<Item = &Channel> {
         self.scan.channels.values()
     }

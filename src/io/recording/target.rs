@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
-use crate::io::new_file;
+use crate::io::{new_file, with_ending};
 
 /// The file before it is renamed.
 #[derive(Debug)]
@@ -47,9 +47,7 @@ impl Target {
 
 /// The path of a live recording until it is finished: `take.mcap.part` for `take.mcap`.
 pub fn part_of(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".part");
-    name.into()
+    with_ending(path, ".part")
 }
 
 impl Write for Target {

@@ -96,7 +96,7 @@ pub struct WindowRow {
     pub cost: f64,
     /// Solve time, milliseconds.
     pub solve_ms: f64,
-    /// Begin and end of what is lost, seconds.
+    /// Begin and end of what is lost, seconds from the start of the recording; `None`: nothing is.
     pub lost_s: Option<[f64; 2]>,
 }
 

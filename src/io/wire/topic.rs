@@ -106,8 +106,8 @@ impl<'a> Topic<'a> {
     }
 }
 
-/// Kinds of topics: how all of them begin; then each with the end of its topics, the message on them, the number of last
-/// messages that late joiners get, and its method of [`Topics`]. The topics of the first kind have a name in them.
+/// Declares kinds of topics. First comes the common prefix. Then each kind has a suffix, a message, the number of last
+/// messages for late joiners, and a method of [`Topics`]. Topics of the first kind contain a name.
 macro_rules! channels {
     ($(#[$about:meta])* $Channel:ident, $of:ident, $begin:literal {
         $(#[$named_doc:meta])* $Named:ident { $name:ident } = $first:literal, $last:literal:

@@ -27,6 +27,7 @@ use crate::core::camera::Rig;
 use crate::core::stage::{self, Names, PerformerId, Stage};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind, Live, Solution, Tracker};
+use crate::io::bus::LONGEST_TOPIC;
 use crate::io::wire::{self, Topics};
 use crate::live::clock::Clock;
 use crate::metrics::CameraState;
@@ -329,7 +330,9 @@ impl Core {
             }
             if too_large > 0 {
                 let most = if camera.is_some() { MOST_BYTES } else { MOST_ORDER_BYTES };
-                let detail = format!("a message of {bytes} bytes, at most {most}");
+                let detail = format!(
+                    "a message of {bytes} bytes, at most {most}, or with a topic of more than {LONGEST_TOPIC} bytes"
+                );
                 self.events(EventKind::Unusable, camera.as_deref(), too_large, detail);
             }
         }

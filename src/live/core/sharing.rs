@@ -401,15 +401,15 @@ impl Core {
         let mut recent = std::mem::take(&mut shared.recent);
         let from = shared.state.as_ref().map(|state| state.solver.clone());
         let mut state = shared.state.as_ref().and_then(|state| state.to_core().ok());
-        // Keyframes of other weights are other poses.
-        let weights = &self.settings.weights;
-        let has_weights = |state: &HandOver| state.past.iter().all(|k| k.weights == *weights);
-        let goes_on = shared.state.as_ref().is_none_or(has_weights);
-        // It may be published before the performer is tracked here.
+        // The state may be published before the performer is tracked here.
         if let Some(state) = &mut shared.state {
             state.solver.clone_from(&self.topics.actor);
             state.released = false;
         }
+        // Keyframes of other weights are other poses.
+        let weights = &self.settings.weights;
+        let has_weights = |state: &HandOver| state.past.iter().all(|k| k.weights == *weights);
+        let goes_on = shared.state.as_ref().is_none_or(has_weights);
         // Nor can the motion go on after the performer returned, or the cameras' clock went back.
         let begin = recent.iter().rposition(|set| set.returns || set.enters);
         if let (Some(state), Some(oldest), Some(newest)) =

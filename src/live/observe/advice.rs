@@ -9,10 +9,7 @@ pub(crate) fn goes_on(kind: &str) -> bool {
 
 /// Whether events of that kind belong to a good run. Of the kinds `clock` and `solver` not all do: see [`is_fine`].
 pub(crate) fn is_expected(kind: &str) -> bool {
-    use EventKind::{
-        Abandoned, Acquired, Calibrated, Clock, Entered, Idle, Latency, Left, Reentered, Returned,
-        RigChanged, Solver, Take, Vacated,
-    };
+    use EventKind::*;
     let expected = [
         Abandoned, Acquired, Calibrated, Clock, Entered, Idle, Latency, Left, Reentered, Returned,
         RigChanged, Solver, Take, Vacated,

@@ -10,7 +10,7 @@ use crate::core::optimise::OptimiserKind;
 use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
 use crate::metrics::FollowedSums;
 
-/// Prior of a keyframe as published in \[Albanis 2023\], and a loss scale, pixels, which the paper does not name.
+/// Prior of a keyframe as published in \[Albanis 2023\], and a loss scale, pixels, which the paper does not give.
 const PUBLISHED: (f64, f64) = (10.76, 100.0);
 /// Iterations and relative change of the cost that let Levenberg-Marquardt converge.
 const CONVERGED: (usize, f64) = (100, 1e-6);

@@ -27,7 +27,7 @@ const MEANINGS = {
   "not shown": "messages that did not come here in time",
 };
 
-/** For how long messages count that did not come, ms. */
+/** For how long dropped messages are shown, ms. */
 const SLOW = 60_000;
 
 export class Figures {

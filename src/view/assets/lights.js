@@ -69,7 +69,7 @@ export function recent(history, read) {
   return counts[1] - counts[0];
 }
 
-/** The events of a camera that still count: those of the last time (by a clock that may have jumped), silence until it is back, and the last of each lasting kind. */
+/** The events of a camera that still count: recent ones (the clock may have jumped), silence until the camera returns, and the last one of each lasting kind. */
 function eventsOf(store, name, time) {
   const now = time === Infinity ? (store.historyAt(time).at(-1)?.seconds ?? store.newest) : time;
   const mine = store.events.filter(({ camera, at }) => camera === name && at <= time);

@@ -8,7 +8,7 @@ const EVERYWHERE = "mocap/*/camera/*/keypoints";
 /** Live: for how long poses and keypoints are kept, seconds: for the curves, and for looking back. */
 const [KEPT, KEPT_POINTS] = [60, 30];
 
-/** Of the connection, ms: between two looks; the page was stopped after a longer time; the longest silence. */
+/** Connection, ms: interval of the checks; a longer interval means that the browser stopped the page; longest silence. */
 const [LOOK, STOPPED, SILENT] = [2000, 10_000, 30_000];
 
 /** A live stage. A lost connection is opened again. */

@@ -329,7 +329,7 @@ export class Store {
   get newest() {
     const last = (all) => all.map((series) => series.last).filter((time) => time !== undefined).sort((a, b) => a - b);
     const poses = last([...this.performers.values()].map((one) => one.poses)).at(-1) ?? -Infinity;
-    // Of cameras that are out of sight none come.
+    // The page gets no frames of cameras that are out of sight.
     const now = performance.now();
     const comes = ([name]) => this.jump === Infinity || now - this.came.get(name) < 2000;
     const coming = [...this.keypoints].filter(comes);

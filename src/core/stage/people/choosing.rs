@@ -78,8 +78,9 @@ impl People {
         self.absent[place].make_unwanted();
         let member = &mut self.members[index];
         // Somebody who is to be followed waits for a place.
-        let waits = member.wish == Wish::Wanted && !matches!(member.role, Role::Performer(_));
-        member.wish = if waits { Wish::Wanted } else { Wish::Unwanted };
+        if member.wish != Wish::Wanted || matches!(member.role, Role::Performer(_)) {
+            member.wish = Wish::Unwanted;
+        }
         member.role = Role::Bystander;
         member.was = Some(self.absent[place].performer);
     }

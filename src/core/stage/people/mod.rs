@@ -338,8 +338,8 @@ impl People {
         owners
     }
 
-    /// A performer who was hidden is lost if it turns out that somebody else is followed in its place. The same of those
-    /// who were dropped.
+    /// A performer who was hidden is lost if it turns out that somebody else is followed in its place. The same holds
+    /// for dropped performers.
     fn tell_from_hidden(&mut self) {
         for member in &mut self.members {
             let Some(before) = member.person.settle(UNDECIDED) else { continue };

@@ -28,10 +28,11 @@ const AT_ONCE: (Nanos, f64) = (Nanos::from_ms(500), 0.25);
 const SAME_BODY: f64 = 1.7;
 /// The same where a performer is expected: one is missed near there, or all who may come are known.
 const EXPECTED_BODY: f64 = 2.5;
-/// Two performers may be one person if a candidate differs from them by amounts that are as near.
-const DOUBLE: f64 = 0.5;
 /// Up to this difference, more is to be measured.
 const DOUBTFUL_BODY: f64 = 3.0;
+/// Who was merged with another absent performer is left out if a candidate differs from that one by less than this much
+/// more.
+const DOUBLE: f64 = 0.5;
 
 /// Who a member is.
 enum Verdict {

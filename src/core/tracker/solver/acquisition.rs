@@ -104,7 +104,7 @@ impl Solver {
 }
 
 /// Keyframes from `first` on, at the keyframe times among `times` that observations reach. Each is
-/// solved alone, starting from the one before. Each stands for `frames` nominal frames.
+/// solved alone, starting from the one before. Each stands for `frames` frames that are used.
 fn path_by_steps(
     scene: Scene,
     skeleton: &Skeleton,

@@ -69,18 +69,20 @@ impl Solver {
         solved: Known,
         observations: &[FrameObservations],
     ) -> bool {
-        let far = FAR * self.cost(job).scale_px;
+        let limit = FAR * self.cost(job).scale_px;
+        // In the order of points: two views of one point are neighbours.
         let mut errors: BTreeMap<(usize, usize), Vec<f64>> = BTreeMap::new();
         for r in self.residuals_of(job, points, solved, observations) {
             errors.entry((r.point, r.camera)).or_default().push(r.error_px);
         }
-        let is_far = |(&(point, _), errors): (&(usize, usize), &mut Vec<f64>)| {
-            median(errors).filter(|error| *error > far).map(|_| point)
-        };
-        let far: Vec<usize> = errors.iter_mut().filter_map(is_far).collect();
-        far.windows(2).any(|pair| pair[0] == pair[1])
+        let far = errors
+            .iter_mut()
+            .filter_map(|(&(point, _), errors)| (median(errors)? > limit).then_some(point));
+        let far_points: Vec<usize> = far.collect();
+        far_points.windows(2).any(|pair| pair[0] == pair[1])
     }
 
+    /// The residuals of the observations on a solved path.
     fn residuals_of(
         &self,
         job: &Job,

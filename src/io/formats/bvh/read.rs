@@ -61,9 +61,12 @@ pub struct Bvh {
 
 impl Bvh {
     /// Parses the text of a file with one root.
+    ///
+    /// # Errors
+    /// The text is not BVH or is incomplete, or a frame has not one value for each channel.
     pub fn parse(text: &str) -> Result<Self, BvhError> {
         let mut lines = Lines::new(text);
-        let Self { joints, channels, .. } = Self::without_frames(hierarchy(&mut lines)?);
+        let bvh = Self::without_frames(hierarchy(&mut lines)?);
         lines.keyword("MOTION", "`MOTION`")?;
         lines.keyword("Frames:", "`Frames:`")?;
         let frames: usize = lines.number("the number of frames")?;
@@ -73,8 +76,8 @@ impl Bvh {
         if frame_time <= 0.0 {
             return Err(lines.wrong("the frame time in seconds, above 0", "0 or less"));
         }
-        let values = motion(&mut lines, channels, frames)?;
-        Ok(Self { joints, frame_time, values, channels, frames })
+        let values = motion(&mut lines, bvh.channels, frames)?;
+        Ok(Self { frame_time, values, frames, ..bvh })
     }
 
     /// Parses the hierarchy alone; the result has no frames.
@@ -105,7 +108,7 @@ impl Bvh {
         self.frames
     }
 
-    /// Frame period, seconds.
+    /// Frame period, seconds; 0 after [`Bvh::parse_hierarchy`].
     pub fn frame_time(&self) -> f64 {
         self.frame_time
     }

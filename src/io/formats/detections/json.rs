@@ -26,7 +26,7 @@ const POINTS: [&str; 5] =
 /// Fields of a person that hold its id.
 const IDS: [&str; 5] = ["person_id", "personID", "track_id", "idx", "id"];
 
-/// Points of a person whose numbers are all smaller are in shares of the image, not in pixels.
+/// A larger number is in pixels. If fewer than half of a person's points have one, all are shares of the image.
 const SHARE: f64 = 3.0;
 
 /// Parses JSON, also with NaN and Infinity, which Python writes.
@@ -199,10 +199,10 @@ fn normalised_or_pixels(
     // A guessed point may be far outside the image. (0, 0) and (-1, -1) are missing points.
     let is_there = |[x, y, c]: &&[f64; 3]| (*c > 0.0 || c.is_nan()) && (*x > 0.0 || *y > 0.0);
     let is_far = |[x, y, _]: &&[f64; 3]| x.abs() > SHARE || y.abs() > SHARE;
-    let there = all.iter().filter(is_there);
-    let is_share = there.clone().filter(is_far).count() * 2 < there.count().max(1);
+    let there: Vec<&[f64; 3]> = all.iter().filter(is_there).collect();
+    let is_share = 2 * there.iter().copied().filter(is_far).count() < there.len().max(1);
     let [width, height] = if is_share { size.map(f64::from) } else { [1.0, 1.0] };
-    report.shares |= is_share && all.iter().any(|one| is_there(&one));
+    report.shares |= is_share && !there.is_empty();
     all.iter().map(|[x, y, c]| report.detection(x * width, y * height, *c)).collect()
 }
 
