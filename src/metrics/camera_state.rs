@@ -19,8 +19,8 @@ const NEAR: f64 = 3.0;
 /// Sets the residuals of the cameras from those of a window. Returns the median of all, pixels.
 pub(crate) fn set_residuals(cameras: &mut [CameraState], report: &WindowReport) -> f64 {
     let mut errors: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
-    for residual in report.residuals.iter().filter(|residual| residual.error_px.is_finite()) {
-        errors.entry(residual.camera).or_default().push(residual.error_px);
+    for residual in report.residuals.iter().filter(|residual| residual.error_px().is_finite()) {
+        errors.entry(residual.camera).or_default().push(residual.error_px());
     }
     let mut all: Vec<f64> = errors.values().flatten().copied().collect();
     let usual = median(&mut all).unwrap_or(0.0);

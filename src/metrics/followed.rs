@@ -140,7 +140,7 @@ mod tests {
             capture: at(frame),
             camera,
             point: 7,
-            error_px: 1.0,
+            way_px: nalgebra::Vector2::new(1.0, 0.0),
             error_relative: 0.01,
             confidence: 1.0,
         };

@@ -120,13 +120,13 @@ impl Windows {
             seen.sort_by_key(|residual| residual.capture);
             for residual in &seen {
                 // In single precision, like the results of earlier versions.
-                let error = f64::from(residual.error_px as f32);
+                let error = f64::from(residual.error_px() as f32);
                 errors.all.add(error);
                 errors.relative.add(residual.error_relative);
                 self.errors_px.add(error);
             }
             for frame in seen.chunk_by(|a, b| a.capture == b.capture) {
-                let values: Vec<f64> = frame.iter().map(|residual| residual.error_px).collect();
+                let values: Vec<f64> = frame.iter().map(|residual| residual.error_px()).collect();
                 if let Some(quartiles) = percentiles(&values, [25.0, 50.0, 75.0]) {
                     errors.frames.push(Mean::new(frame[0].capture, quartiles));
                 }

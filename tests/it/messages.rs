@@ -415,7 +415,7 @@ fn hand_over() -> HandOver {
         until_ns: past.capture_time_ns,
         body: body::Skeleton::default().coefficients().collect(),
         past: vec![past],
-        noise: vec![49.0, 0.01, 0.6, 20.0],
+        noise: vec![49.0, 0.01, 0.6, 20.0, 2.5],
         ..HandOver::default()
     };
     assert!(state.to_core().unwrap().motion.is_some());

@@ -4,6 +4,11 @@
 //! carry half the information, so the weights of prior and stiffness are proportional to the variance.
 //! They are also proportional to the mean confidence: a detector's scale of confidences has no meaning.
 
+use std::collections::BTreeMap;
+use std::f64::consts::{FRAC_PI_2, LN_2};
+
+use nalgebra::Vector2;
+
 use crate::core::points::median;
 use crate::core::time::Timestamp;
 
@@ -16,8 +21,12 @@ const USUAL_CONFIDENCE: f64 = 0.6;
 /// Limits of the weights' factor: small errors leave the errors of our model, and with large errors
 /// poses must still follow the detections.
 const FACTORS: (f64, f64) = (0.08, 2.0);
+/// What fewer points of a camera have in common may be chance.
+const LEAST_POINTS: usize = 6;
+/// A camera whose points are off by more median errors in common is wrong. It hardly counts in a solve.
+const WRONG_CAMERA: f64 = 3.0;
 
-/// The distance of a detected point from the solved body.
+/// How far a detected point is from the solved body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
     /// Capture time of the detection.
@@ -26,12 +35,19 @@ pub struct Residual {
     pub camera: usize,
     /// Index of the point in the format.
     pub point: usize,
-    /// Distance in the image, pixels; infinite for a point behind the camera.
-    pub error_px: f64,
-    /// The same as a part of the performer's height in that image.
+    /// From the detection to the body's point in the image, pixels; infinite for a point behind the camera.
+    pub way_px: Vector2<f64>,
+    /// Its length as a part of the performer's height in that image.
     pub error_relative: f64,
     /// The detector's confidence.
     pub confidence: f64,
+}
+
+impl Residual {
+    /// The distance in the image, pixels.
+    pub fn error_px(&self) -> f64 {
+        self.way_px.norm()
+    }
 }
 
 /// A running estimate of the detections' errors: the median distance from the solved body, pixels.
@@ -45,17 +61,20 @@ pub struct Noise {
     confidence: f64,
     /// Number of windows in it, at most [`WINDOWS`].
     windows: f64,
+    /// Mean of the windows' [`shift_variance`], square pixels; not negative.
+    shift: f64,
 }
 
 impl Noise {
-    /// As numbers: mean of the squared errors, square pixels; mean relative error; mean confidence; number of windows.
-    pub fn numbers(&self) -> [f64; 4] {
-        [self.square, self.relative, self.confidence, self.windows]
+    /// As numbers: mean of the squared errors, square pixels; mean relative error; mean confidence; number of windows;
+    /// variance of the cameras' shifts, square pixels.
+    pub fn numbers(&self) -> [f64; 5] {
+        [self.square, self.relative, self.confidence, self.windows, self.shift]
     }
 
     /// The estimate of such numbers.
-    pub fn of_numbers([square, relative, confidence, windows]: [f64; 4]) -> Self {
-        Self { square, relative, confidence, windows }
+    pub fn of_numbers([square, relative, confidence, windows, shift]: [f64; 5]) -> Self {
+        Self { square, relative, confidence, windows, shift }
     }
 
     /// The estimate after the residuals of one more solved window.
@@ -66,14 +85,16 @@ impl Noise {
         let typical = |error: fn(&Residual) -> f64| {
             median(&mut residuals.iter().map(error).collect::<Vec<_>>()).unwrap_or(0.0)
         };
-        let (error, relative) = (typical(|r| r.error_px), typical(|r| r.error_relative));
+        let (error, relative) = (typical(Residual::error_px), typical(|r| r.error_relative));
         let windows = (self.windows + 1.0).min(WINDOWS);
         let square = self.square + (error * error - self.square) / windows;
         let relative = self.relative + (relative - self.relative) / windows;
         let confidence =
             residuals.iter().map(|r| r.confidence).sum::<f64>() / residuals.len() as f64;
         let confidence = self.confidence + (confidence - self.confidence) / windows;
-        Self { square, relative, confidence, windows }
+        let shift = shift_variance(residuals, error).unwrap_or(self.shift);
+        let shift = (self.shift + (shift - self.shift) / windows).max(0.0);
+        Self { square, relative, confidence, windows, shift }
     }
 
     /// Whether it covers so many windows that it hardly depends on the first ones.
@@ -99,8 +120,13 @@ impl Noise {
             true => (self.square, self.confidence),
             false => (usual_px * usual_px, USUAL_CONFIDENCE),
         };
-        // The median of a Rayleigh distribution is sqrt(2 ln 2) of its scale.
-        square * confidence / (2.0 * std::f64::consts::LN_2)
+        along_an_axis(square) * confidence
+    }
+
+    /// The variance along an axis of a shift of all points of a camera, independent in each camera, square pixels: the
+    /// calibration or the times of the cameras do not agree. 0 if the windows' residuals show none.
+    pub(super) fn shift_variance_px(&self) -> f64 {
+        self.shift
     }
 
     /// The factor of weights that were tuned for median errors of `usual_px` and
@@ -115,6 +141,41 @@ impl Noise {
     }
 }
 
+/// The variance along an axis of normally distributed errors, from their squared median length.
+fn along_an_axis(squared_median: f64) -> f64 {
+    // The median of a Rayleigh distribution is sqrt(2 ln 2) of its scale.
+    squared_median / (2.0 * LN_2)
+}
+
+/// [`Noise::shift_variance_px`] of one window whose median error is `error_px`; below 0 by chance. `None` if fewer than two
+/// cameras tell it.
+fn shift_variance(residuals: &[Residual], error_px: f64) -> Option<f64> {
+    let mut cameras = BTreeMap::<usize, Vec<&Residual>>::new();
+    for residual in residuals.iter().filter(|residual| residual.error_px().is_finite()) {
+        cameras.entry(residual.camera).or_default().push(residual);
+    }
+    let (mut squares, mut chance, mut count) = (0.0, 0.0, 0_u32);
+    for seen in cameras.values() {
+        let typical = |of: &dyn Fn(&Residual) -> f64| {
+            median(&mut seen.iter().map(|residual| of(residual)).collect::<Vec<_>>()).unwrap_or(0.0)
+        };
+        let common = Vector2::new(typical(&|r| r.way_px.x), typical(&|r| r.way_px.y));
+        let own = typical(&|r| (r.way_px - common).norm());
+        let mut points: Vec<usize> = seen.iter().map(|residual| residual.point).collect();
+        points.sort_unstable();
+        points.dedup();
+        if points.len() < LEAST_POINTS || common.norm() > WRONG_CAMERA * error_px {
+            continue;
+        }
+        squares += common.norm_squared();
+        // Independent errors have medians too. Those of one point in a window's frames are nearly the same.
+        chance += FRAC_PI_2 * along_an_axis(own * own) / points.len() as f64;
+        count += 1;
+    }
+    // The place of the body follows the shifts, along three axes.
+    (count > 1).then(|| squares / f64::from(2 * count - 3) - chance / f64::from(count))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -125,7 +186,7 @@ mod tests {
             capture: Timestamp::of_frame(1, 50.0),
             camera: 0,
             point: k,
-            error_px: if k == 0 { 500.0 } else { error_px },
+            way_px: Vector2::new(if k == 0 { 500.0 } else { error_px }, 0.0),
             error_relative: 0.01,
             confidence: USUAL_CONFIDENCE,
         };
@@ -149,6 +210,34 @@ mod tests {
         let [usual, low] = [window(10.0), window(10.0).into_iter().map(halved).collect()]
             .map(|residuals| Noise::default().with(&residuals).factor(10.0));
         assert!((low / usual - 0.5).abs() < 1e-12, "{low} {usual}");
+    }
+
+    /// Residuals of cameras whose points are off by these, pixels, and by independent errors.
+    fn shifted(shifts: &[[f64; 2]]) -> Vec<Residual> {
+        let points = (0..shifts.len()).flat_map(|camera| (0..15).map(move |point| (camera, point)));
+        let residual = |(camera, point): (usize, usize)| {
+            let angle = 2.4 * point as f64;
+            let own = Vector2::new(angle.cos(), angle.sin()) * 2.0;
+            let way_px = own + Vector2::from(shifts[camera]);
+            Residual { camera, point, way_px, ..window(1.0)[1] }
+        };
+        points.map(residual).collect()
+    }
+
+    #[test]
+    fn what_all_points_of_a_camera_have_in_common_is_a_shift() {
+        let variance = |shifts: &[[f64; 2]]| {
+            let residuals = shifted(shifts);
+            Noise::default().with(&residuals).shift_variance_px()
+        };
+        assert_eq!(variance(&[[0.0, 0.0]; 4]), 0.0);
+        let four = [[10.0, 0.0], [-10.0, 0.0], [0.0, 10.0], [0.0, -10.0]];
+        // Four cameras, less what the body's place follows: 400 square pixels over 5.
+        assert!((variance(&four) - 80.0).abs() < 5.0, "{}", variance(&four));
+        // A camera that is far off is wrong, and hardly counts in the solve.
+        let one_wrong = [four[0], four[1], four[2], four[3], [300.0, 0.0]];
+        assert!((variance(&one_wrong) - 400.0 / 5.0).abs() < 5.0, "{}", variance(&one_wrong));
+        assert_eq!(variance(&four[..1]), 0.0);
     }
 
     #[test]

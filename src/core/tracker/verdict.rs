@@ -1,5 +1,7 @@
 //! The verdict on a window: whether enough was seen, and the quality of the fit.
 
+use nalgebra::Vector2;
+
 use super::config::Gate;
 use super::job::{Job, Task, Verdict};
 use super::noise::Residual;
@@ -88,15 +90,15 @@ pub(super) fn residuals<'m>(
             .map(|camera| extent(world.iter().filter_map(|point| camera.project(point))))
             .collect();
         all.extend(frame.observations().iter().map(|seen| {
-            let error_px = rig.cameras[seen.camera]
-                .project(&world[seen.point])
-                .map_or(f64::INFINITY, |pixel| (pixel - seen.pixel).norm());
+            let projected = rig.cameras[seen.camera].project(&world[seen.point]);
+            let way_px =
+                projected.map_or(Vector2::repeat(f64::INFINITY), |pixel| pixel - seen.pixel);
             Residual {
                 capture: frame.capture,
                 camera: seen.camera,
                 point: points[seen.point].index,
-                error_px,
-                error_relative: error_px / heights[seen.camera].max(1.0),
+                way_px,
+                error_relative: way_px.norm() / heights[seen.camera].max(1.0),
                 confidence: seen.confidence,
             }
         }));

@@ -127,7 +127,7 @@ impl HandOver {
         {
             return Err(at("past").invalid("not one or two keyframes up to until_ns"));
         }
-        let noise = at("noise").numbers::<4, f64>(&self.noise)?;
+        let noise = at("noise").numbers::<5, f64>(&self.noise)?;
         if noise.iter().any(|number| *number < 0.0) {
             return Err(at("noise").invalid("is negative"));
         }

@@ -58,7 +58,7 @@ impl Solver {
         let cost = self.cost(job);
         let loss = Loss::new(cost.loss, cost.scale_px);
         let all = self.residuals_of(job, points, solved, observations);
-        all.iter().map(|r| r.confidence * loss.rho(r.error_px * r.error_px).0).sum()
+        all.iter().map(|r| r.confidence * loss.rho(r.way_px.norm_squared()).0).sum()
     }
 
     /// Whether some point lies far from two views or more in the median.
@@ -73,7 +73,7 @@ impl Solver {
         // In the order of points: two views of one point are neighbours.
         let mut errors: BTreeMap<(usize, usize), Vec<f64>> = BTreeMap::new();
         for r in self.residuals_of(job, points, solved, observations) {
-            errors.entry((r.point, r.camera)).or_default().push(r.error_px);
+            errors.entry((r.point, r.camera)).or_default().push(r.error_px());
         }
         let far = errors
             .iter_mut()

@@ -69,7 +69,7 @@ impl Solver {
             .then(|| self.estimate_body(job, points, solved, &observations, estimator))
             .flatten();
         let deviations = (job.effort.deviations && matches!(verdict, Verdict::Tracked))
-            .then(|| self.deviations(job, points, solved))
+            .then(|| self.deviations(job, points, solved, &residuals))
             .flatten();
         let tracked = tracked(solved, poses, Some(summary), residuals, verdict);
         let estimator = estimator.map(Arc::new);
