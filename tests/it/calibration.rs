@@ -415,7 +415,7 @@ fn errors_of_a_wrong_calibration_are_within_the_standard_deviations() {
         let (truth, deviation) = (summary.truth.unwrap(), summary.joint_deviation.unwrap());
         let coverage = truth.coverage.unwrap();
         println!("{cameras:?}: {:.1} mm, {deviation:?}, {coverage:?}", truth.mpjpe_mm);
-        // A single wrong camera counts little in the solve, which the deviations do not know.
+        // A single wrong camera has little weight in the solve. The deviations do not know that.
         let most = if cameras.is_empty() { 76.0 } else { 95.0 };
         assert!((60.0..most).contains(&coverage.within_1_percent), "{cameras:?}");
         assert!(coverage.within_2_percent > 90.0, "{cameras:?}");

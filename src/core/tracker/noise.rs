@@ -4,7 +4,7 @@
 //! carry half the information, so the weights of prior and stiffness are proportional to the variance.
 //! They are also proportional to the mean confidence: a detector's scale of confidences has no meaning.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, LN_2};
 
 use nalgebra::Vector2;
@@ -21,9 +21,9 @@ const USUAL_CONFIDENCE: f64 = 0.6;
 /// Limits of the weights' factor: small errors leave the errors of our model, and with large errors
 /// poses must still follow the detections.
 const FACTORS: (f64, f64) = (0.08, 2.0);
-/// What fewer points of a camera have in common may be chance.
+/// With fewer points, the shift of a camera may be chance.
 const LEAST_POINTS: usize = 6;
-/// A camera whose points are off by more median errors in common is wrong. It hardly counts in a solve.
+/// A camera whose shift exceeds this many median errors is wrong. The solve hardly uses it.
 const WRONG_CAMERA: f64 = 3.0;
 
 /// How far a detected point is from the solved body.
@@ -67,7 +67,7 @@ pub struct Noise {
 
 impl Noise {
     /// As numbers: mean of the squared errors, square pixels; mean relative error; mean confidence; number of windows;
-    /// variance of the cameras' shifts, square pixels.
+    /// variance of the cameras' shifts along an axis, square pixels.
     pub fn numbers(&self) -> [f64; 5] {
         [self.square, self.relative, self.confidence, self.windows, self.shift]
     }
@@ -123,8 +123,8 @@ impl Noise {
         along_an_axis(square) * confidence
     }
 
-    /// The variance along an axis of a shift of all points of a camera, independent in each camera, square pixels: the
-    /// calibration or the times of the cameras do not agree. 0 if the windows' residuals show none.
+    /// The variance along an axis of the cameras' shifts, square pixels. A shift moves all points of a camera together: its
+    /// calibration or its times are wrong. 0 if the residuals show no shifts.
     pub(super) fn shift_variance_px(&self) -> f64 {
         self.shift
     }
@@ -147,8 +147,8 @@ fn along_an_axis(squared_median: f64) -> f64 {
     squared_median / (2.0 * LN_2)
 }
 
-/// [`Noise::shift_variance_px`] of one window whose median error is `error_px`; below 0 by chance. `None` if fewer than two
-/// cameras tell it.
+/// [`Noise::shift_variance_px`] of one window with this median error. It may be below 0. `None` if fewer than two cameras
+/// show enough points.
 fn shift_variance(residuals: &[Residual], error_px: f64) -> Option<f64> {
     let mut cameras = BTreeMap::<usize, Vec<&Residual>>::new();
     for residual in residuals.iter().filter(|residual| residual.error_px().is_finite()) {
@@ -161,18 +161,17 @@ fn shift_variance(residuals: &[Residual], error_px: f64) -> Option<f64> {
         };
         let common = Vector2::new(typical(&|r| r.way_px.x), typical(&|r| r.way_px.y));
         let own = typical(&|r| (r.way_px - common).norm());
-        let mut points: Vec<usize> = seen.iter().map(|residual| residual.point).collect();
-        points.sort_unstable();
-        points.dedup();
+        let points: BTreeSet<usize> = seen.iter().map(|residual| residual.point).collect();
         if points.len() < LEAST_POINTS || common.norm() > WRONG_CAMERA * error_px {
             continue;
         }
         squares += common.norm_squared();
-        // Independent errors have medians too. Those of one point in a window's frames are nearly the same.
+        // The expected square of medians of independent errors, along an axis. The errors of a point hardly change
+        // within a window, so each point counts once.
         chance += FRAC_PI_2 * along_an_axis(own * own) / points.len() as f64;
         count += 1;
     }
-    // The place of the body follows the shifts, along three axes.
+    // The place of the body follows the shifts along three axes: so many of the shifts' coordinates are lost.
     (count > 1).then(|| squares / f64::from(2 * count - 3) - chance / f64::from(count))
 }
 
@@ -232,7 +231,7 @@ mod tests {
         };
         assert_eq!(variance(&[[0.0, 0.0]; 4]), 0.0);
         let four = [[10.0, 0.0], [-10.0, 0.0], [0.0, 10.0], [0.0, -10.0]];
-        // Four cameras, less what the body's place follows: 400 square pixels over 5.
+        // 400 square pixels over five: eight coordinates, less the three of the body's place.
         assert!((variance(&four) - 80.0).abs() < 5.0, "{}", variance(&four));
         // A camera that is far off is wrong, and hardly counts in the solve.
         let one_wrong = [four[0], four[1], four[2], four[3], [300.0, 0.0]];

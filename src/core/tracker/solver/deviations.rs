@@ -3,8 +3,8 @@
 //! The curvature of the cost gives standard deviations for errors that are independent from frame to frame.
 //! A detector's errors are not: they change slowly, and a part of them is constant. So the deviations from
 //! the curvature are multiplied by a factor, and a constant error is added. Its size follows from the size
-//! of the keypoint offsets. A wrong calibration shifts all points of a camera together: the common part of the
-//! residuals shows this. The factors were chosen at the noise levels of the evaluation and on real takes, see
+//! of the keypoint offsets. A wrong calibration shifts all points of a camera together. The residuals show
+//! these shifts. The factors were chosen at the noise levels of the evaluation and on real takes, see
 //! docs/results/solver.md.
 
 use std::collections::BTreeSet;
@@ -23,11 +23,11 @@ use crate::core::tracker::noise::Residual;
 const RANDOM: f64 = 1.85;
 /// Constant error of a joint centre, relative to the root mean square of the keypoint offsets.
 const CONSTANT: f64 = 0.58;
-/// Factor of the deviations from shifts of whole cameras. The body turns and bends with them, so the residuals show
-/// only a part.
+/// Factor of the deviations from shifts of cameras. The residuals show only a part of a shift: the body turns and bends
+/// with it.
 const SHIFTED: f64 = 1.4;
-/// What the size of the body tells of its distance from a camera, as a part of what all images tell of its place: cameras
-/// that face each other do not tell it.
+/// Information that the size of the body gives about its distance, as a part of that of all images. Cameras that face each
+/// other give none.
 const BY_SIZE: f64 = 0.01;
 /// The error of our model, metres.
 const MODEL_M: f64 = 0.002;
@@ -69,8 +69,8 @@ impl Solver {
     }
 }
 
-/// The variance of a joint centre along an axis, square metres, if the images of these cameras are shifted, each with a
-/// variance of a square pixel along an axis.
+/// The variance of a joint centre along an axis, square metres for one square pixel: the images of these cameras are
+/// shifted, independently and with that variance along each axis.
 fn variance_of_shifts(rig: &Rig, cameras: &BTreeSet<usize>, joint: &Vector3<f64>) -> f64 {
     let projected =
         cameras.iter().filter_map(|&camera| rig.cameras[camera].project_with_jacobian(joint));
@@ -117,12 +117,12 @@ mod tests {
 
     #[test]
     fn shifts_move_a_joint_centre_as_far_as_the_cameras_let_it() {
-        // A metre is 250 pixels. All four see how high the point is, two each where it is.
+        // A metre is 250 pixels. Four cameras see the height, two of them each horizontal axis.
         let metre = 250.0_f64 * 250.0;
         let four = variance_of_the_origin(&[0.0, 1.0, 2.0, 3.0]);
         let expected = (1.0 / 4.0 + 1.0 / 2.0 + 1.0 / 2.0) / (3.0 * metre);
         assert!((four / expected - 1.0).abs() < 0.05, "{four} {expected}");
-        // Two that face each other tell the distance by the size alone.
+        // Two that face each other see no distance: the size alone gives it.
         let facing = variance_of_the_origin(&[0.0, 2.0]);
         let expected = (1.0 / 2.0 + 1.0 / 2.0 + 1.0 / (4.0 * BY_SIZE)) / (3.0 * metre);
         assert!((facing / expected - 1.0).abs() < 0.05, "{facing} {expected}");
