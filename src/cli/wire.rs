@@ -137,10 +137,10 @@ fn event(event: &Event) -> String {
 fn status(status: &Status) -> String {
     let camera = |camera: &CameraCounters| {
         let CameraCounters { camera: name, rate_hz, age_s, offset_s, residual_px, .. } = camera;
-        if *rate_hz == 0.0 {
+        if *rate_hz == 0.0 || camera.silent {
             let usable = if camera.unusable > 0 { "usable " } else { "" };
             return match *age_s > 0.0 {
-                true => format!("{name} no {usable}frames for {age_s:.0} s"),
+                true => format!("{name} no {usable}frames for {age_s:.1} s"),
                 false => format!("{name} no {usable}frames yet"),
             };
         }

@@ -280,6 +280,11 @@ impl CameraCheck {
         self.findings.is_empty() && self.agreeing_percent.unwrap_or(0.0) >= NONE_PERCENT
     }
 
+    /// What is wrong with it, in words; empty: nothing was found.
+    pub fn fault(&self) -> String {
+        if self.findings.is_empty() { String::new() } else { self.verdict() }
+    }
+
     /// The verdict in words.
     pub fn verdict(&self) -> String {
         if self.findings.is_empty() {

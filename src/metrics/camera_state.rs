@@ -13,6 +13,9 @@ const CONFLICTS: u32 = 3;
 const UNUSUAL: f64 = 1.7;
 /// Part of a second's residual in the usual one.
 const SECOND: f64 = 0.05;
+/// A camera is silent after this time without a frame, and after so many periods of its frames.
+const SILENT: Nanos = Nanos::from_ms(700);
+const SILENT_PERIODS: f64 = 3.0;
 /// A point is near the body within this many times the median distance.
 const NEAR: f64 = 3.0;
 
@@ -44,13 +47,17 @@ pub(crate) struct CameraState {
     /// Frames in the current second, and how many of them had a conflict.
     recent: u64,
     odd: u32,
-    /// Frames a second over the last second.
+    /// Frames a second over the last second, and over the last one in which there were any.
     rate: f64,
+    usual_rate: f64,
     #[cfg(feature = "live")]
     units: crate::core::tracker::UnitCheck,
     /// Whether its capture times are not in nanoseconds.
     #[cfg(feature = "live")]
     has_other_unit: bool,
+    /// When it fell silent, if that was told.
+    #[cfg(feature = "live")]
+    told_silent: Option<Timestamp>,
     /// Whether its clock has been reported as off.
     #[cfg(feature = "live")]
     pub(crate) is_off: bool,
@@ -101,6 +108,9 @@ impl CameraState {
     /// Updates the rate and the usual residual; called once a second.
     pub(crate) fn second(&mut self, passed: Nanos) {
         self.rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
+        if self.rate > 0.0 {
+            self.usual_rate = self.rate;
+        }
         (self.recent, self.odd) = (0, 0);
         let (px, usual) = (self.counters.residual_px, &mut self.counters.usual_px);
         if *usual == 0.0 {
@@ -108,6 +118,12 @@ impl CameraState {
         } else if px < UNUSUAL * *usual {
             *usual += SECOND * (px - *usual);
         }
+    }
+
+    /// From when on it is silent if no frame comes; `None` before its first second.
+    pub(crate) fn silent_from(&self) -> Option<Timestamp> {
+        let (_, _, arrival) = self.last.filter(|_| self.usual_rate > 0.0)?;
+        Some(arrival + SILENT.max(Nanos::rounded(SILENT_PERIODS * 1e9 / self.usual_rate)))
     }
 
     /// The counters, completed with values from the tracker and the clock.
@@ -126,6 +142,7 @@ impl CameraState {
             offset_s,
             drift_ppm,
             waited_for,
+            silent: self.silent_from().is_some_and(|at| at <= now),
             moved: self.placed.as_ref().map(Placed::to_string).unwrap_or_default(),
             ..self.counters.clone()
         }
@@ -144,6 +161,17 @@ impl CameraState {
         let fault = self.units.add(capture);
         let had_other_unit = std::mem::replace(&mut self.has_other_unit, fault.is_some());
         (fault.is_none(), fault.filter(|_| !had_other_unit))
+    }
+
+    /// Whether it has fallen silent since the last call.
+    pub(crate) fn falls_silent(&mut self, now: Timestamp) -> bool {
+        let at = self.silent_from().filter(|at| *at <= now);
+        at.is_some() && std::mem::replace(&mut self.told_silent, at) != at
+    }
+
+    /// Sets what a check finds wrong with it.
+    pub(crate) fn set_verdict(&mut self, verdict: &str) {
+        verdict.clone_into(&mut self.counters.verdict);
     }
 
     /// Counts a frame with a time that cannot be used.

@@ -27,11 +27,9 @@ impl CameraStates {
             rig.cameras.iter().map(|camera| CameraState::new(&camera.name)).collect();
         let used = vec![0; cameras.len()];
         let judged = |name: &str| check?.cameras.iter().find(|camera| camera.camera == name);
-        let verdict = |camera: &Camera| {
-            let camera = judged(&camera.name).filter(|camera| !camera.findings.is_empty());
-            camera.map_or_else(String::new, CameraCheck::verdict)
-        };
-        let verdicts = rig.cameras.iter().map(verdict).collect();
+        let verdict = |camera: &Camera| judged(&camera.name).map(CameraCheck::fault);
+        let verdicts =
+            rig.cameras.iter().map(|camera| verdict(camera).unwrap_or_default()).collect();
         Self { cameras, used, verdicts, windows: WindowCounters::default(), since: None }
     }
 

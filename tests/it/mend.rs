@@ -82,10 +82,10 @@ fn a_bumped_camera_is_mended_by_itself_if_set_so() {
         let mut config = Config::default();
         config.node.mend_cameras = true;
         config.stage.performers = if people == 1 { "1" } else { "auto" }.parse().unwrap();
-        let mut world = World::new(&config);
-        world.play(sent, at(end));
+        let (world, recorded) = recorded(World::new(&config), sent, end);
         println!("{:#?}", world.heard.details("camera_moved"));
         assert_mended(&world, &truth);
+        assert_agrees(&replayed(&recorded, None).unwrap());
         // It is used again.
         let last = counters(&world).pop().unwrap().1;
         assert!((0.05..5.0).contains(&last.residual_px), "{people}: {} px", last.residual_px);

@@ -6,7 +6,8 @@ use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::Solver;
 use bundlemocap::io::wire::{
-    Event, PerformerLabel, Skeleton, Status, Take, TakeAnswer, Topics, TrackingState, encode,
+    self, Event, PerformerLabel, Skeleton, Status, Take, TakeAnswer, Topics, TrackingState, decode,
+    encode,
 };
 use bundlemocap::live::{
     Carried, Core, Input, MOST_BYTES, MOST_ORDER_BYTES, Recorded, ReplayError, Replayed, Settings,
@@ -101,6 +102,43 @@ fn each_take_has_a_journal_that_needs_nothing_of_the_time_before() {
     let run = replayed(&from(&recorded, 6.0), None).unwrap();
     assert_agrees(&run);
     assert_ne!(run.start.run_id, walk.start.run_id);
+}
+
+#[test]
+fn a_status_tells_what_a_check_found_until_there_is_another_calibration() {
+    let judged = |camera: &str, words: &str, seconds: f64| {
+        let (action, name, note) = ("verdict".into(), camera.into(), words.into());
+        let take = Take { action, name, note, ..Take::default() };
+        Sent { arrival: at(seconds), topic: Topics::default().take(), payload: encode(&take) }
+    };
+    let mut rig = Studio::new(4, 1).rig();
+    let mut other: wire::Rig = decode(&rig.payload).unwrap();
+    other.version = 2;
+    other.cameras[1].camera_from_world_translation_m[0] += 0.2;
+    (rig.arrival, rig.payload) = (at(6.5), encode(&other));
+    let sent = vec![
+        judged("cam02", "turned by 3 degrees", 2.5),
+        judged("cam03", "mirrored", 2.5),
+        judged("cam9", "not in the calibration", 2.5),
+        judged("", "in millimetres", 3.5),
+        judged("cam03", "", 4.5),
+        rig,
+    ];
+    let (world, recorded) = session(8, sent);
+    let all = world.heard.of::<Status>(&Topics::default().status());
+    let told = |seconds: f64| {
+        let (_, status) = all.iter().rev().find(|(time, _)| *time <= at(seconds)).unwrap();
+        let of_cameras = status.cameras.iter().map(|camera| camera.verdict.as_str());
+        let all: Vec<&str> = of_cameras.chain([status.verdict.as_str()]).collect();
+        <[&str; 5]>::try_from(all).unwrap()
+    };
+    let turned = "turned by 3 degrees";
+    assert_eq!(told(2.4), [""; 5]);
+    assert_eq!(told(3.4), ["", turned, "mirrored", "", ""]);
+    assert_eq!(told(6.4), ["", turned, "", "", "in millimetres"]);
+    assert_eq!(told(8.0), [""; 5]);
+    assert!(answers(&world).is_empty(), "{:?}", answers(&world));
+    assert_agrees(&replayed(&recorded, None).unwrap());
 }
 
 /// The node is killed during the take, or ends in order, and another one goes on.

@@ -100,7 +100,7 @@ impl Clocks {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::sync::Arc;
 
     use super::*;
@@ -112,7 +112,7 @@ mod tests {
     const LATE: Nanos = Nanos::from_ms(100);
 
     /// The check of four cameras, the second of which is late and has this correction.
-    fn check(correction: Nanos) -> Check {
+    pub fn check(correction: Nanos) -> Check {
         let skeleton = Skeleton::default();
         let motion = Motion::new(&skeleton, MotionStyle::default());
         let mut rig = ring_rig(4, 4.0, 1.6).unwrap();

@@ -38,6 +38,8 @@ const RIGHT_RATE: f64 = 0.01;
 /// performer who stands still shows no wrong clock, and a camera may be restarted.
 const REST: Duration = Duration::from_secs(60);
 const SHORT_REST: Duration = Duration::from_secs(15);
+/// Most verdicts that the node is told after one check.
+const MOST_VERDICTS: usize = 8;
 
 /// Looks after the cameras of a node until it is over, and corrects their clocks if `corrects`. Its thread gives way to
 /// all others. It ends soon after: a running check, which may take seconds, has a thread of its own that nothing waits
@@ -101,7 +103,7 @@ pub(super) fn look(
                 // Motion, or somebody, has corrected the clocks meanwhile.
                 continue;
             }
-            let (mut orders, mut rest) = (Vec::new(), SHORT_REST);
+            let (mut orders, mut rest, mut told) = (Vec::new(), SHORT_REST, Vec::new());
             if let Ok(check) = check.join() {
                 let status = node.status().unwrap_or_default();
                 let unused = not_in_use(&status);
@@ -113,6 +115,7 @@ pub(super) fn look(
                     say(&check, &unused);
                     said = causes;
                 }
+                told = verdicts(&check, &status);
                 if corrects {
                     orders = clocks.orders(&check, &now);
                 }
@@ -120,7 +123,7 @@ pub(super) fn look(
             // Corrected clocks are judged again at once.
             let is_final = orders.is_empty() && !clocks.are_tried();
             judged = is_final.then(|| (bytes, Instant::now() + rest));
-            orders.iter().for_each(|order| node.order(order));
+            orders.iter().chain(&told).for_each(|order| node.order(order));
         }
     }
     Ok(())
@@ -229,6 +232,27 @@ fn causes(check: &Check, unused: &[&str]) -> Vec<String> {
     check.cameras.iter().flat_map(of_camera).chain(all).chain(unused).collect()
 }
 
+/// What the node is to tell of its cameras: the verdicts that are not in its status. There are so many at a time, for
+/// the node takes a limited number of orders a second.
+fn verdicts(check: &Check, status: &wire::Status) -> Vec<wire::Take> {
+    let of_all = check.findings.iter().map(|found| format!("{}; {}", found.what, found.fix));
+    let of_all = (String::new(), of_all.collect::<Vec<_>>().join("; "));
+    let of_cameras = check.cameras.iter().map(|camera| (camera.camera.clone(), camera.fault()));
+    let is_new = |(name, words): &(String, String)| {
+        let mut cameras = status.cameras.iter();
+        let camera = cameras.find(|camera| camera.camera == *name);
+        *words != *camera.map_or(&status.verdict, |camera| &camera.verdict)
+    };
+    let order = |(name, note)| wire::Take {
+        action: "verdict".to_owned(),
+        name,
+        note,
+        ..wire::Take::default()
+    };
+    let all = std::iter::once(of_all).chain(of_cameras);
+    all.filter(is_new).take(MOST_VERDICTS).map(order).collect()
+}
+
 fn say(check: &Check, unused: &[&str]) {
     for warning in check.warnings() {
         tracing::warn!("{warning}");
@@ -265,6 +289,31 @@ mod tests {
         assert!(drift(1.0).abs() < 1e-6);
         assert!((drift(0.96) + 0.04).abs() < 0.001, "{}", drift(0.96));
         assert_eq!(Arrivals::default().drift(), None);
+    }
+
+    #[test]
+    fn the_node_is_told_what_its_status_does_not_have() {
+        let check = clocks::tests::check(Nanos::ZERO);
+        let camera = |name: &str| wire::CameraCounters {
+            camera: name.to_owned(),
+            verdict: if name == "cam03" { "mirrored".into() } else { String::new() },
+            ..wire::CameraCounters::default()
+        };
+        let cameras = ["cam01", "cam02", "cam03", "cam04"].map(camera).to_vec();
+        let mut status = wire::Status { cameras, ..wire::Status::default() };
+        let told = verdicts(&check, &status);
+        assert!(told.iter().all(|order| order.action == "verdict"), "{told:?}");
+        let [late, fine] = &told[..] else { panic!("{told:?}") };
+        assert!(late.name == "cam02" && late.note.contains("late"), "{late:?}");
+        assert_eq!((&*fine.name, &*fine.note), ("cam03", ""));
+        late.note.clone_into(&mut status.cameras[1].verdict);
+        status.cameras[2].verdict.clear();
+        status.verdict = "in millimetres".into();
+        let told = verdicts(&check, &status);
+        assert!(
+            matches!(&told[..], [all] if all.name.is_empty() && all.note.is_empty()),
+            "{told:?}"
+        );
     }
 
     #[test]

@@ -102,6 +102,8 @@ pub struct Core {
     began: Timestamp,
     /// Id of this run, set at the first message; 0 before.
     run_id: u64,
+    /// What a check finds wrong with all cameras.
+    verdict: String,
     next_second: Option<Timestamp>,
     wake: Option<Timestamp>,
     ended: bool,
@@ -149,6 +151,7 @@ impl Core {
             held: Vec::new(),
             began: Timestamp::default(),
             run_id: 0,
+            verdict: String::new(),
             next_second: None,
             wake: None,
             ended: false,
@@ -207,6 +210,7 @@ impl Core {
             self.begin_take(take);
         }
         self.seconds(is_last);
+        self.tell_silence();
         if std::mem::take(&mut self.is_changed) {
             self.publish_stage_status(&self.progress());
         }
@@ -408,6 +412,17 @@ impl Core {
         self.publish_status();
     }
 
+    /// Publishes the status when a camera falls silent, not only at the next second.
+    fn tell_silence(&mut self) {
+        let mut is_new = false;
+        for camera in &mut self.cameras {
+            is_new |= camera.falls_silent(self.now);
+        }
+        if is_new {
+            self.publish_status();
+        }
+    }
+
     /// Publishes the events that were only counted.
     fn publish_counts(&mut self) {
         for (kind, performer, message) in self.counts.second() {
@@ -484,6 +499,7 @@ impl Core {
             clock_offset_s: self.clock.base().seconds(),
             label: self.label_of(0).filter(|_| !self.is_several()).cloned(),
             residual_px: 0.0,
+            verdict: self.verdict.clone(),
             take: self.running.clone(),
             take_since_ns: if self.running.is_empty() { 0 } else { self.began.ns() },
         }
@@ -493,7 +509,8 @@ impl Core {
         let track = self.stage.as_mut().and_then(Stage::wake);
         // If its wake time is past, the tracker waits for an input and not for a time.
         let next = track.map(|capture| self.clock.node_time(capture)).filter(|at| *at > self.now);
-        let next = next.into_iter();
+        let silent = self.cameras.iter().filter_map(CameraState::silent_from);
+        let next = next.into_iter().chain(silent.filter(|at| *at > self.now));
         let Some(at) = next.chain(self.next_second).min() else { return };
         if self.wake != Some(at) {
             self.wake = Some(at);

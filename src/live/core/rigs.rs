@@ -138,8 +138,10 @@ impl Core {
             if !before.is_some_and(|before| before.has_pose_of(new)) {
                 camera.placed = None;
                 camera.set_usual_px(0.0);
+                camera.set_verdict("");
             }
         }
+        self.verdict.clear();
         self.tell_ended_corrections(&rig);
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));

@@ -1,5 +1,5 @@
 //! Slates: a take begins or ends, a body is forgotten, a performer is labelled, named, followed or dropped, or a
-//! camera is mended or its capture times are corrected.
+//! camera is mended, judged, or its capture times are corrected.
 //!
 //! A take is a run of its own: at its start the node begins anew with the calibration, the body, the
 //! latency and the time offsets that are known, and the head of the take's journal holds them. So a
@@ -13,6 +13,9 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
 use crate::io::wire::{self, PerformerLabel, Take, TakeAnswer, encode, valid_name};
 use crate::metrics::CameraState;
+
+/// Longer verdicts are cut, characters.
+const MOST_WORDS: usize = 500;
 
 /// Whether a slate ends the run of the take `running`, or of none if that is empty.
 pub(crate) fn ends(slate: &Take, running: &str) -> bool {
@@ -54,6 +57,7 @@ impl Core {
         }
         // The front answers for solvers.
         match &*take.action {
+            "verdict" => return self.judge(&take),
             // A solver that came during the take has none to stop.
             "stop" if self.is_solver() && self.running.is_empty() => return,
             "start" | "stop" => {}
@@ -95,6 +99,16 @@ impl Core {
             "clock" => self.correct_times(&take.name, take.offset_ms),
             "start" => Err(format!("{:?} cannot be the name of a take", take.name)),
             other => Err(format!("{other:?} is no action")),
+        }
+    }
+
+    /// Keeps what a check finds wrong with a camera, or with all, for the status.
+    fn judge(&mut self, Take { name, note, .. }: &Take) {
+        let words: String = note.chars().take(MOST_WORDS).collect();
+        match self.cameras.iter_mut().find(|camera| camera.name() == name) {
+            Some(camera) => camera.set_verdict(&words),
+            None if name.is_empty() => self.verdict = words,
+            None => {}
         }
     }
 

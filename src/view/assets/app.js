@@ -210,7 +210,7 @@ function showCameras() {
   // With a calibration the page asks for its cameras alone; of others the node tells.
   const found = isLive && store.rig ? strangers(store) : store.keypoints.keys();
   const names = new Set([...(store.rig?.cameras.map(({ name }) => name) ?? []), ...found]);
-  const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Infinity : chosen.time, about.advice, isLive && panes.inSight.has(name)) }));
+  const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Infinity : chosen.time, about.advice) }));
   lights.sort((a, b) => RANK[b.level] - RANK[a.level]);
   const items = lights.map(({ name, level, words, advice, counters }) => {
     panes.setLight(name, level, words.join("\n"));

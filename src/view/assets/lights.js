@@ -95,22 +95,8 @@ function wrongSize(store, name) {
   return `its images are ${width} x ${height}, the calibration's ${camera.width} x ${camera.height}`;
 }
 
-/** For how long a camera is silent, ms, before it is red; the status, once a second, would tell it later. */
-const SILENT = 700;
-
-/** How long a camera of which the page gets the frames has sent nothing, ms, if others do; else 0. */
-function silence(store, name, rate) {
-  const last = store.came.get(name);
-  const age = performance.now() - last;
-  const others = [...store.came.values()].some((at) => performance.now() - at < SILENT / 2);
-  return last !== undefined && others && age > Math.max(SILENT, 3000 / rate) ? age : 0;
-}
-
-/**
- * The light of a camera at a time: of its counters in the status, of its own past, and of its events. `isAsked`: the page
- * gets its frames.
- */
-export function cameraLight(store, name, now, advice, isAsked) {
+/** The light of a camera at a time: of its counters in the status, of its own past, and of its events. */
+export function cameraLight(store, name, now, advice) {
   const history = store.historyAt(now);
   const newest = history.at(-1);
   const isOld = now === Infinity ? performance.now() - store.statusCame > OLD * 1000 : now - newest?.seconds > OLD;
@@ -126,14 +112,13 @@ export function cameraLight(store, name, now, advice, isAsked) {
   if (counters) {
     const rate = counters.rate_hz ?? 0;
     const age = counters.age_s ?? 0;
-    const silent = isAsked ? silence(store, name, rate) : 0;
     const frame = counters.unusable > 0 ? "usable frame" : "frame";
-    if (age > 1 || rate === 0) light.add("bad", age > 0 ? `no ${frame} for ${age.toFixed(0)} s` : `no ${frame} yet`);
-    else if (silent > 0) light.add("bad", `no frame for ${(silent / 1000).toFixed(1)} s`);
+    const isSilent = counters.silent || rate === 0;
+    if (isSilent) light.add("bad", age > 0 ? `no ${frame} for ${age.toFixed(1)} s` : `no ${frame} yet`);
     else if (rate < 0.8 * usualRate(cameras)) {
       light.add("warn", `${rate.toFixed(1)} of ${usualRate(cameras).toFixed(0)} frames a second`);
     }
-    if (counters.waited_for !== true && age <= 1 && rate > 0) light.add("warn", "not waited for");
+    if (counters.waited_for !== true && !isSilent) light.add("warn", "not waited for");
     for (const kind of ["unusable", "late", "missing", "duplicate", "dropped"]) {
       const count = recent(history, (status) => mine(status)?.[kind]);
       if (count > 0) {
@@ -194,7 +179,9 @@ export function nodeLight(store, connected) {
     if (coasted > 0 && missed <= 0) light.add("warn", `${counted(coasted, "pose")} extrapolated in 5 s`);
     const effort = history.at(-1).status.effort?.level ?? 0;
     if (effort > 0) light.add("warn", `overload: effort lowered to level ${effort}`);
-    const clock = OF_CLOCK[history.at(-1).status.clock];
+    const { verdict, clock: kind } = history.at(-1).status;
+    if (verdict) light.add("bad", verdict);
+    const clock = OF_CLOCK[kind];
     if (clock) light.add("warn", clock);
     const full = recent(history, (status) => status.queue_dropped);
     if (full > 0) light.add("bad", `${full} messages were not read: too many, or too large`);

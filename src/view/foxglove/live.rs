@@ -25,7 +25,7 @@ use crate::view::bus::Live;
 use crate::view::server::{ViewError, give_way, reachable};
 
 /// What is passed on, below the stage.
-const PATTERNS: [&str; 9] = [
+const PATTERNS: [&str; 11] = [
     "rig",
     "status",
     "take",
@@ -35,6 +35,8 @@ const PATTERNS: [&str; 9] = [
     "actor/*/status",
     "actor/*/events",
     "actor/*/pose",
+    "actor/*/pose/provisional",
+    "actor/*/keyframe",
 ];
 /// Most messages in the queue. When it is full, new messages are dropped; so are those larger than [`MOST_BYTES`].
 const WAITING: usize = 4096;
