@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
 """A camera node with RTMPose: images of a webcam, a stream or a video file in, 2D keypoints on the bus.
 
-    pip install eclipse-zenoh protobuf grpcio-tools opencv-python rtmlib onnxruntime
-    python generate.py
+    pip install "bundlemocap[bus]" opencv-python rtmlib onnxruntime
     python camera_rtmpose.py --video 0 --camera cam_1                            # a webcam
     python camera_rtmpose.py --video rtsp://10.0.0.7/live --camera cam_2 --delay 120
     START=$(($(date +%s) + 20))                                                  # the same for all files of a take
@@ -19,11 +18,12 @@ import sys
 import threading
 import time
 
-import mocap
-from camera_node import CameraNode, recorded, triples
+from bundlemocap import bus
 
 # Seconds before a camera that is away is opened again: doubled each time.
 FIRST_WAIT, LONGEST_WAIT = 0.5, 8.0
+# Seconds that the end waits for a camera that gives no image.
+LONGEST_READ = 5.0
 
 
 class Source:
@@ -46,8 +46,14 @@ class Source:
                 self._changed.wait_for(lambda: self._newest is not None or self._ended.is_set())
                 newest, self._newest = self._newest, None
             if newest is None:
+                # Python cannot end in order while the thread is in cv2.
+                self._thread.join(LONGEST_READ)
                 return
             yield newest
+
+    def is_waiting(self):
+        """Whether cv2 still waits for an image of a camera that is away."""
+        return self._thread.is_alive()
 
     def stop(self):
         with self._changed:
@@ -141,7 +147,7 @@ class Stored:
     """The keypoints of a camera in a recording, by the number of the image, as if a model had found them."""
 
     def __init__(self, recording, camera):
-        _, frames = recorded(recording)
+        _, frames = bus.recorded(recording)
         all_cameras = min((frame.frame for frame in frames), default=0)
         frames = [frame for frame in frames if frame.camera == camera]
         if not frames:
@@ -151,7 +157,7 @@ class Stored:
         first = min(frame.frame for frame in frames)
         first = all_cameras if first - all_cameras < 100 else first
         self._people = {
-            frame.frame - first: [triples(person.points) for person in frame.people] for frame in frames
+            frame.frame - first: [bus.triples(person.points) for person in frame.people] for frame in frames
         }
 
     def __call__(self, number, _):
@@ -214,18 +220,20 @@ def main():
     source = Source(args.video, open_capture, start_ns, round(args.delay * 1e6), say)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: source.stop())
-    with mocap.open_session(args.connect) as session:
+    with bus.open_session(args.connect) as session:
         node = None
 
         def publish(people, capture_ns, number, size):
             nonlocal node
             if node is None or node.size != size:
-                node = CameraNode(session, args.camera, size, detect.format, args.stage)
+                node = bus.CameraNode(session, args.camera, size, detect.format, args.stage)
             node.publish(people, capture_ns, number)
 
         run(source, detect, publish, args.report, say)
     if source.is_file and source.images == 0:
         sys.exit(f"{args.video}: no image can be read")
+    if source.is_waiting():
+        os._exit(0)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
 """A retargeting node: receives skeleton and poses and calls a function for each pose.
 
-    pip install eclipse-zenoh protobuf grpcio-tools
-    python generate.py
+    pip install "bundlemocap[bus]"
     python retarget_node.py --csv poses.csv
 
 As a program it writes one line per pose: capture time, state, declared latency, the pelvis in the world
@@ -15,9 +14,7 @@ import csv
 import queue
 import sys
 
-import mocap
-from pose_pb2 import Pose, TrackingState
-from skeleton_pb2 import Skeleton
+from bundlemocap import bus
 
 # Seconds without a message before that is said.
 PATIENCE = 5
@@ -38,8 +35,8 @@ def receive(session, handle, stage="stage", actor="actor", poses=None):
     inbox = queue.Queue()
     topics = f"mocap/{stage}/actor/{actor}"
     subscribers = [
-        mocap.subscribe_state(session, f"{topics}/skeleton", Skeleton, inbox.put),
-        mocap.subscribe_stream(session, f"{topics}/pose", Pose, inbox.put),
+        bus.subscribe_state(session, f"{topics}/skeleton", bus.Skeleton, inbox.put),
+        bus.subscribe_stream(session, f"{topics}/pose", bus.Pose, inbox.put),
     ]
     skeleton, is_said = None, False
     while poses is None or poses > 0:
@@ -49,7 +46,7 @@ def receive(session, handle, stage="stage", actor="actor", poses=None):
             is_said = True
             print(f"nothing on {topics}/skeleton and pose yet; check --stage and --actor", file=sys.stderr)
             continue
-        if isinstance(message, Skeleton):
+        if isinstance(message, bus.Skeleton):
             skeleton = message
         elif skeleton is not None:
             handle(skeleton, message)
@@ -70,10 +67,9 @@ class CsvWriter:
             columns = [f"{name}.{axis}" for name in self._names for axis in "xyzw"]
             head = ["capture_time_ns", "state", "latency_ms", "root_x", "root_y", "root_z"]
             self._writer.writerow(head + columns)
-        state = TrackingState.Name(pose.state).removeprefix("TRACKING_STATE_").lower()
         latency_ms = (pose.due_time_ns - pose.capture_time_ns) * 1e-6
         by_name = rotations(skeleton, pose)
-        line = [pose.capture_time_ns, state, f"{latency_ms:.3f}"]
+        line = [pose.capture_time_ns, bus.state_of(pose), f"{latency_ms:.3f}"]
         line += [f"{number:.6f}" for number in pose.root_position_m]
         line += [f"{number:.6f}" for name in self._names for number in by_name[name]]
         self._writer.writerow(line)
@@ -89,7 +85,7 @@ def main():
     parser.add_argument("--poses", type=int, help="stop after this many poses")
     args = parser.parse_args()
     file = open(args.csv, "w", newline="") if args.csv else sys.stdout
-    with file, mocap.open_session(args.connect) as session:
+    with file, bus.open_session(args.connect) as session:
         receive(session, CsvWriter(file), args.stage, args.actor, args.poses)
 
 

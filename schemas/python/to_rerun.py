@@ -1,32 +1,22 @@
 #!/usr/bin/env python3
 """Shows recordings, or a running node, in Rerun: performers, cameras, keypoints, events.
 
-    pip install rerun-sdk protobuf grpcio-tools
-    pip install ../..                                        # bundlemocap itself, for recordings
-    python generate.py
+    pip install "bundlemocap[bus]" rerun-sdk
     python to_rerun.py out/poses.mcap take.mcap              # opens the viewer
     python to_rerun.py out/poses.mcap --save take.rrd        # for `rerun take.rrd`
-    python to_rerun.py --live                                # also pip install eclipse-zenoh
+    python to_rerun.py --live
 
 The timeline `capture` is the cameras' clock. World: right-handed, y up, metres.
 """
 
 import argparse
-import pathlib
-import sys
+import threading
 
+import bundlemocap
 import numpy as np
 import rerun as rr
+from bundlemocap import bus
 
-sys.path.append(str(pathlib.Path(__file__).resolve().parent / "generated"))
-
-from event_pb2 import Event
-from keypoint_frame_pb2 import KeypointFrame
-from pose_pb2 import TRACKING_STATE_LOST, TRACKING_STATE_TRACKING, Pose
-from rig_pb2 import Rig
-from skeleton_pb2 import Skeleton
-
-TYPES = {f"bundlemocap.v1.{kind.__name__}": kind for kind in (Event, KeypointFrame, Pose, Rig, Skeleton)}
 # Okabe-Ito palette: safe for colour-blind people.
 COLOURS = [(0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0)]
 GREY = (138, 143, 152)
@@ -40,28 +30,31 @@ class Scene:
         rr.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
 
     def log(self, topic, message):
-        """Logs `message` of `topic`. Ignores types that are not in TYPES, and ground truth."""
+        """Logs `message` of `topic`. Returns whether it is shown: ground truth and other messages are not."""
         parts = topic.split("/")
         if "truth" in parts:
-            return
-        if isinstance(message, Rig):
+            return False
+        if isinstance(message, bus.Rig):
             for camera in message.cameras:
                 self._camera(camera)
-            return
+            return True
         actor = parts[3] if len(parts) > 3 and parts[2] == "actor" else None
-        if isinstance(message, Skeleton):
+        if isinstance(message, bus.Skeleton):
             self._parents[actor] = list(message.parents)
-            return
+            return True
+        if not isinstance(message, (bus.Event, bus.KeypointFrame, bus.Pose)):
+            return False
         # The calibration may correct a camera's clock.
-        offset = self._offsets.get(message.camera, 0) if isinstance(message, KeypointFrame) else 0
+        offset = self._offsets.get(message.camera, 0) if isinstance(message, bus.KeypointFrame) else 0
         rr.set_time("capture", timestamp=np.datetime64(message.capture_time_ns + offset, "ns"))
-        if isinstance(message, KeypointFrame):
+        if isinstance(message, bus.KeypointFrame):
             self._keypoints(message)
-        elif isinstance(message, Pose):
+        elif isinstance(message, bus.Pose):
             self._pose(actor, message)
-        elif isinstance(message, Event):
+        else:
             of = " ".join(name for name in (actor, message.camera) if name)
             rr.log("events", rr.TextLog(f"{message.kind} {of} {message.detail}"))
+        return True
 
     def _camera(self, camera):
         path = f"world/cameras/{camera.name}"
@@ -89,7 +82,7 @@ class Scene:
 
     def _pose(self, actor, pose):
         path = f"world/performers/{actor}"
-        if pose.state == TRACKING_STATE_LOST:
+        if bus.state_of(pose) == "lost":
             # Without this, Rerun goes on showing the last pose.
             rr.log(path, rr.Clear(recursive=True))
             return
@@ -98,7 +91,7 @@ class Scene:
         if parents is None or len(parents) != len(joints):
             return
         colour = self._colours.setdefault(actor, COLOURS[len(self._colours) % len(COLOURS)])
-        colour = colour if pose.state == TRACKING_STATE_TRACKING else GREY
+        colour = colour if bus.state_of(pose) == "tracking" else GREY
         bones = [joints[[parent, joint]] for joint, parent in enumerate(parents) if parent >= 0]
         path += "/provisional" if pose.provisional else ""
         rr.log(path, rr.LineStrips3D(bones, radii=0.02, colors=colour))
@@ -116,41 +109,30 @@ def matrix(quaternion):
 
 def show(paths):
     """Shows recordings of one take."""
-    import bundlemocap
-
     scene, count = Scene(), 0
     for path in paths:
         try:
             messages = bundlemocap.read_messages(path)
         except bundlemocap.Error as error:
             raise SystemExit(str(error)) from None
-        for topic, _, name, payload in messages:
-            kind = TYPES.get(name)
-            if kind is not None:
-                scene.log(topic, kind.FromString(payload))
-                count += 1
+        for topic, _, kind, payload in messages:
+            count += scene.log(topic, bus.decoded(kind, payload))
     return count
 
 
 def follow(connect, stage):
     """Shows a running node until Ctrl-C."""
-    import threading
-
-    import mocap
-
     scene, lock = Scene(), threading.Lock()
 
     def handle(sample):
-        kind = TYPES.get(str(sample.encoding).partition(";")[2])
-        if kind is not None:
-            with lock:
-                scene.log(str(sample.key_expr), kind.FromString(sample.payload.to_bytes()))
+        with lock:
+            scene.log(str(sample.key_expr), bus.message_of(sample))
 
-    with mocap.open_session(connect) as session:
+    with bus.open_session(connect) as session:
         topics = ["rig", "actor/*/skeleton", "events", "actor/*/events"]
-        states = [mocap.subscribe_samples(session, f"mocap/{stage}/{topic}", handle) for topic in topics]
+        states = [bus.subscribe_samples(session, f"mocap/{stage}/{topic}", handle) for topic in topics]
         topics = ["actor/*/pose", "camera/*/keypoints"]
-        streams = [mocap.subscribe_stream_samples(session, f"mocap/{stage}/{topic}", handle) for topic in topics]
+        streams = [bus.subscribe_stream_samples(session, f"mocap/{stage}/{topic}", handle) for topic in topics]
         print(f"{len(states) + len(streams)} subscriptions; Ctrl-C ends")
         try:
             threading.Event().wait()

@@ -8,11 +8,12 @@ mod tracker;
 
 use std::ffi::OsString;
 
+use bundlemocap::io::wire::SCHEMAS;
 use bundlemocap::{Joint, KeypointFormat};
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
+use pyo3::types::{PyBytes, PyDict, PyList};
 
 create_exception!(bundlemocap, Error, PyException, "Why something cannot be done, and the fix.");
 
@@ -46,6 +47,16 @@ fn warn_of(py: Python, file: &str, what: &[String]) -> PyResult<()> {
     }
     let text = format!("{file}: {}", in_python(&what.join("; ")));
     py.import("warnings")?.call_method1("warn", (text,)).map(drop)
+}
+
+/// The schemas of the messages, by full name: serialised `FileDescriptorSet`s.
+#[pyfunction]
+fn schemas(py: Python) -> PyResult<Bound<PyDict>> {
+    let all = PyDict::new(py);
+    for (name, descriptor) in SCHEMAS {
+        all.set_item(name, PyBytes::new(py, descriptor))?;
+    }
+    Ok(all)
 }
 
 /// Runs the command of this process, as `bundlemocap` without Python does, and ends it.
@@ -88,6 +99,7 @@ fn bundlemocap_module(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(recording::read_messages, module)?)?;
     module.add_function(wrap_pyfunction!(motion::read_motions, module)?)?;
     module.add_function(wrap_pyfunction!(motion::solve, module)?)?;
+    module.add_function(wrap_pyfunction!(schemas, module)?)?;
     module.add_function(wrap_pyfunction!(main, module)?)?;
     Ok(())
 }

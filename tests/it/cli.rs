@@ -1211,6 +1211,44 @@ fn who_enters_late_is_no_failure() {
 }
 
 #[test]
+fn a_take_is_drawn_tabled_and_plotted() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 90, |_| true);
+    place.done("solve walk.mcap --out out");
+    place.done("rig show out/poses.mcap --out rig.svg");
+    place.done("rig show walk.mcap --out cameras.svg");
+    let [drawn, cameras] =
+        ["rig.svg", "cameras.svg"].map(|name| fs::read_to_string(place.path(name)).unwrap());
+    for name in ["cam01", "cam02", "cam03", "cam04", "actor"] {
+        let named = format!(">{name}</text>");
+        // From above and from the side.
+        assert_eq!(drawn.matches(&named).count(), 2, "{name}");
+        assert_eq!(cameras.matches(&named).count(), if name == "actor" { 0 } else { 2 }, "{name}");
+    }
+
+    place.done("export out/poses.mcap --out a.mot --out a.angles.csv");
+    let motion = place.lines("a.mot");
+    let head = motion.iter().position(|line| line.starts_with("time\t")).unwrap();
+    let table = place.lines("a.angles.csv");
+    let cells = |line: &String| line.split(',').map(str::to_owned).collect::<Vec<_>>();
+    assert_eq!((table.len(), motion.len() - head), (91, 91));
+    for (row, line) in table.iter().map(cells).zip(&motion[head..]) {
+        let angles: Vec<&str> = line.split('\t').skip(1).collect();
+        assert_eq!(row[2..], angles);
+    }
+    let knee = cells(&table[0]).iter().position(|name| name == "knee_angle_r").unwrap();
+    let knees = table[1..].iter().map(|line| cells(line)[knee].parse::<f64>().unwrap());
+    let (least, most) = knees.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+    assert!(least > 0.0 && most - least > 30.0 && most < 120.0, "{least} to {most} degrees");
+
+    let report = fs::read_to_string(place.path("out/report.html")).unwrap();
+    let (_, plot) = report.split_once("How certain the joint centres are").unwrap();
+    let (plot, _) = plot.split_once("</svg>").unwrap();
+    assert!(plot.contains("mean of the joints") && plot.contains("least certain joint"), "{plot}");
+    assert!(plot.matches("<polyline").count() + plot.matches("<path").count() >= 2, "{plot}");
+}
+
+#[test]
 fn poses_are_exported_at_another_rate_in_place_and_in_part() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 150, |detections| {

@@ -17,24 +17,9 @@ fn scripts() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/python")
 }
 
-/// Compiles the schemas into a folder; without Python prints the reason and returns `None`.
-fn generated() -> Option<tempfile::TempDir> {
-    let packages = "import zenoh, google.protobuf, grpc_tools, bundlemocap";
-    match Command::new("python3").args(["-c", packages]).output() {
-        Ok(output) if output.status.success() => {}
-        Ok(_) => {
-            crate::support::skipped("pip install eclipse-zenoh protobuf grpcio-tools . first");
-            return None;
-        }
-        Err(_) => {
-            crate::support::skipped("python3 is not installed");
-            return None;
-        }
-    }
-    let folder = tempfile::tempdir().unwrap();
-    let output = python(folder.path(), "generate.py").arg(folder.path()).output().unwrap();
-    check(&output);
-    Some(folder)
+/// Whether Python has the module of the wheel, and what its bus needs.
+fn has_bus() -> bool {
+    has_modules("bundlemocap.bus", "'.[bus]'")
 }
 
 /// Whether Python has these modules; if not, says which packages to install.
@@ -47,10 +32,9 @@ fn has_modules(modules: &str, packages: &str) -> bool {
     has
 }
 
-fn python(generated: &Path, script: &str) -> Command {
+fn python(script: &str) -> Command {
     let mut command = Command::new("python3");
-    command.arg(scripts().join(script)).env("PYTHONPATH", generated);
-    command.env("PYTHONDONTWRITEBYTECODE", "1");
+    command.arg(scripts().join(script)).env("PYTHONDONTWRITEBYTECODE", "1");
     command
 }
 
@@ -80,13 +64,15 @@ fn skinned_bodies_are_those_of_their_script() {
 
 #[test]
 fn messages_of_a_camera_in_python_are_received() {
-    let Some(generated) = generated() else { return };
+    if !has_bus() {
+        return;
+    }
     let (node, at) = node();
     let (sender, samples) = channel::<Sample>();
     let sink = Box::new(move |sample| sender.send(sample).unwrap());
     let guard = node.subscribe("mocap/take/**", sink).unwrap();
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
-    let output = python(generated.path(), "camera_node.py")
+    let output = python("camera_node.py")
         .arg(recording)
         .args(["--connect", &at, "--stage", "take", "--seconds", "0.5"])
         .output()
@@ -180,6 +166,42 @@ assert [line.split(": ")[1].split(" ")[0] for line in said[:-1]] == ["gives", "b
 assert said[-1].startswith(f"45 images, {len(seen)} published, {source.dropped} dropped"), said
 "#;
 
+/// A camera in the network that sends 20 images, goes away and comes back: cv2 opens it.
+const STREAM: &str = r#"
+import http.server, threading
+import cv2, numpy as np
+import camera_rtmpose
+from camera_rtmpose import Source, open_capture, run
+
+camera_rtmpose.FIRST_WAIT = 0.1
+_, jpeg = cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))
+
+class Camera(http.server.BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=image")
+        self.end_headers()
+        for _ in range(20):
+            self.wfile.write(b"--image\r\nContent-Type: image/jpeg\r\n\r\n" + jpeg.tobytes() + b"\r\n")
+    def log_message(self, *_):
+        pass
+
+server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Camera)
+threading.Thread(target=server.serve_forever, daemon=True).start()
+said, seen = [], []
+source = Source(f"http://127.0.0.1:{server.server_port}/", open_capture, say=said.append)
+
+def publish(_, capture_ns, number, size):
+    assert size == (64, 48)
+    seen.append((number, capture_ns))
+    if source.times_away >= 2:
+        source.stop()
+
+run(source, lambda *_: [], publish, 1e9, said.append)
+assert seen == sorted(seen) and len(seen) + source.dropped >= 25, (seen, source.dropped)
+assert [line.split(": ")[1].split(" ")[0] for line in said[:3]] == ["gives", "back", "gives"], said
+"#;
+
 /// Writes a video of 60000/1001 frames a second, and one of 25.
 const VIDEOS: &str = r#"
 import cv2, sys, numpy as np
@@ -219,18 +241,21 @@ fn the_videos_beside_detections_tell_their_frame_rate() {
 
 #[test]
 fn a_video_is_published_as_a_camera_and_a_camera_that_goes_away_is_opened_again() {
-    let Some(generated) = generated() else { return };
+    if !has_bus() {
+        return;
+    }
+    let place = tempfile::tempdir().unwrap();
     if !has_modules("cv2, numpy", "opencv-python-headless") {
         return;
     }
-    let video = generated.path().join("cam01.avi");
+    let video = place.path().join("cam01.avi");
     check(&Command::new("python3").args(["-c", VIDEO]).arg(&video).output().unwrap());
     let (node, at) = node();
     let (sender, samples) = channel::<Sample>();
     let sink = Box::new(move |sample| sender.send(sample).unwrap());
     let guard = node.subscribe("mocap/take/**", sink).unwrap();
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
-    let output = python(generated.path(), "camera_rtmpose.py")
+    let output = python("camera_rtmpose.py")
         .arg("--video")
         .arg(&video)
         .arg("--stored")
@@ -254,18 +279,21 @@ fn a_video_is_published_as_a_camera_and_a_camera_that_goes_away_is_opened_again(
         let since = frame.capture_time_ns - first - (frame.frame as i64 * 100_000_000) / 3;
         assert!(since.abs() < 1_000_000, "image {} is off by {since} ns", frame.frame);
     }
-    let script = scripts();
-    let away = Command::new("python3")
-        .args(["-c", AWAY])
-        .env("PYTHONPATH", std::env::join_paths([generated.path(), &script]).unwrap())
-        .env("PYTHONDONTWRITEBYTECODE", "1")
-        .output();
-    check(&away.unwrap());
+    for script in [AWAY, STREAM] {
+        let away = Command::new("python3")
+            .args(["-c", script])
+            .env("PYTHONPATH", scripts())
+            .env("PYTHONDONTWRITEBYTECODE", "1")
+            .output();
+        check(&away.unwrap());
+    }
 }
 
 #[test]
 fn a_subscriber_in_python_gets_skeleton_and_poses() {
-    let Some(generated) = generated() else { return };
+    if !has_bus() {
+        return;
+    }
     let (node, at) = node();
     let skeleton = Skeleton {
         joint_names: vec!["pelvis".into(), "spine".into()],
@@ -277,7 +305,7 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
     let encoding = |name: &str| format!("application/protobuf;bundlemocap.v1.{name}");
     publisher.put(Timestamp::default(), &encoding("Skeleton"), &wire::encode(&skeleton)).unwrap();
 
-    let mut retarget = python(generated.path(), "retarget_node.py");
+    let mut retarget = python("retarget_node.py");
     let of_two = ["--connect", &at, "--stage", "take", "--actor", "anna", "--poses", "2"];
     let mut retarget = Program::start(retarget.args(of_two));
     let poses = node.publisher("mocap/take/actor/anna/pose").unwrap();
@@ -317,16 +345,18 @@ fn pose_line(line: &str) -> (i64, String, Vec<[f64; 4]>) {
 
 #[test]
 fn the_node_works_between_cameras_and_a_subscriber_in_python() {
-    let Some(generated) = generated() else { return };
+    if !has_bus() {
+        return;
+    }
     let (node, at) = listening_node(&[]);
     let to_node = ["--connect", &at];
-    let mut retarget = python(generated.path(), "retarget_node.py");
+    let mut retarget = python("retarget_node.py");
     let mut retarget = Program::start(retarget.args(to_node).args(["--poses", "70"]));
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
     // Four seconds are enough unless the subscriber is slow to start.
     for _ in 0..3 {
         if !retarget.is_over() {
-            let mut cameras = python(generated.path(), "camera_node.py");
+            let mut cameras = python("camera_node.py");
             check(&cameras.arg(&recording).args(to_node).output().unwrap());
         }
     }
@@ -357,16 +387,19 @@ fn the_node_works_between_cameras_and_a_subscriber_in_python() {
 
 #[test]
 fn recordings_are_shown_in_rerun() {
-    let Some(generated) = generated() else { return };
+    if !has_bus() {
+        return;
+    }
+    let place = tempfile::tempdir().unwrap();
     if !has_modules("rerun", "rerun-sdk") {
         return;
     }
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
-    let (folder, out) = (generated.path(), generated.path().join("out"));
+    let (folder, out) = (place.path(), place.path().join("out"));
     let mut solve = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
     check(&solve.arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
     let shown = folder.join("take.rrd");
-    let mut script = python(folder, "to_rerun.py");
+    let mut script = python("to_rerun.py");
     let script = script.arg(&walk).arg(out.join("poses.mcap")).arg("--save").arg(&shown);
     let output = script.output().unwrap();
     check(&output);
@@ -420,11 +453,14 @@ print(" ".join(f"{topic}={counts[topic]}" for topic in sorted(counts)))
 
 #[test]
 fn recordings_have_the_schemas_of_foxglove() {
-    let Some(generated) = generated() else { return };
+    if !has_bus() {
+        return;
+    }
+    let place = tempfile::tempdir().unwrap();
     if !has_modules("mcap_protobuf", "mcap-protobuf-support") {
         return;
     }
-    let (folder, out) = (generated.path(), generated.path().join("out"));
+    let (folder, out) = (place.path(), place.path().join("out"));
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
     let program = || Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
     check(&program().arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());

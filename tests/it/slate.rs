@@ -115,13 +115,14 @@ fn a_status_tells_what_a_check_found_until_there_is_another_calibration() {
     let mut other: wire::Rig = decode(&rig.payload).unwrap();
     other.version = 2;
     other.cameras[1].camera_from_world_translation_m[0] += 0.2;
-    (rig.arrival, rig.payload) = (at(6.5), encode(&other));
+    (rig.arrival, rig.payload) = (at(6.2), encode(&other));
+    // A status comes at the middle of each second.
     let sent = vec![
-        judged("cam02", "turned by 3 degrees", 2.5),
-        judged("cam03", "mirrored", 2.5),
-        judged("cam9", "not in the calibration", 2.5),
-        judged("", "in millimetres", 3.5),
-        judged("cam03", "", 4.5),
+        judged("cam02", "turned by 3 degrees", 2.2),
+        judged("cam03", "mirrored", 2.2),
+        judged("cam9", "not in the calibration", 2.2),
+        judged("", "in millimetres", 3.2),
+        judged("cam03", "", 4.2),
         rig,
     ];
     let (world, recorded) = session(8, sent);
@@ -133,9 +134,9 @@ fn a_status_tells_what_a_check_found_until_there_is_another_calibration() {
         <[&str; 5]>::try_from(all).unwrap()
     };
     let turned = "turned by 3 degrees";
-    assert_eq!(told(2.4), [""; 5]);
-    assert_eq!(told(3.4), ["", turned, "mirrored", "", ""]);
-    assert_eq!(told(6.4), ["", turned, "", "", "in millimetres"]);
+    assert_eq!(told(2.1), [""; 5]);
+    assert_eq!(told(3.0), ["", turned, "mirrored", "", ""]);
+    assert_eq!(told(6.0), ["", turned, "", "", "in millimetres"]);
     assert_eq!(told(8.0), [""; 5]);
     assert!(answers(&world).is_empty(), "{:?}", answers(&world));
     assert_agrees(&replayed(&recorded, None).unwrap());

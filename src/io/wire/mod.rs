@@ -23,10 +23,8 @@ mod topic;
 pub use crate::core::time::TIMES_NS;
 pub use generated::*;
 pub use pose::LiveStamp;
-#[cfg(test)]
-pub(crate) use schema::SCHEMAS;
 pub use schema::{
-    ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,
+    ENCODING, SCHEMA_ENCODING, SCHEMAS, Schema, decode, descriptor, encode, media_type, schema_of,
 };
 #[cfg(feature = "live")]
 pub(crate) use skeleton::is_length;

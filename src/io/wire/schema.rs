@@ -29,7 +29,7 @@ macro_rules! schemas {
         })*
 
         /// Full name and descriptor of every schema.
-        pub(crate) const SCHEMAS: &[(&str, &[u8])] =
+        pub const SCHEMAS: &[(&str, &[u8])] =
             &[$(($message::FULL_NAME, $message::DESCRIPTOR),)*];
 
         #[cfg(test)]

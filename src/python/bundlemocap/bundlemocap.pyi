@@ -30,6 +30,7 @@ __all__ = [
     "Pose",
     "read_messages",
     "read_motions",
+    "schemas",
     "solve",
     "main",
 ]
@@ -162,6 +163,10 @@ class Messages:
     def __next__(self) -> tuple[str, int, str, bytes]:
         """Topic, capture time (nanoseconds), full name of the type (bundlemocap.v1.Pose) and the message, encoded as
         protobuf. Messages of others have their own encodings and perhaps no type."""
+
+def schemas() -> dict[str, bytes]:
+    """The schemas of the messages, by full name such as `bundlemocap.v1.Pose`: serialised `FileDescriptorSet`s of
+    protobuf. `bundlemocap.bus` has the messages as classes."""
 
 def read_messages(path: _Path) -> Messages:
     """The messages of a recording (.mcap), also of a damaged one; a warning at the end says what it lost."""
