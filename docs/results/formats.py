@@ -293,7 +293,7 @@ def main():
     for line in rows:
         print(f"| {' | '.join(line)} |")
 
-    shown = {kind: [] for kind in ("glb", "usda", "bvh")}
+    shown = {kind: {} for kind in ("glb", "usda", "bvh")}
     shown["c3d"] = dict(markers=c3d[DRAWN])
     shown["trc"] = dict(markers=trc[DRAWN])
     shown["csv"] = dict(bones=truth.bones(csv[0][DRAWN]))
@@ -301,7 +301,7 @@ def main():
     figure, axes = plt.subplots(2, 4, figsize=(10, 6.4), constrained_layout=True)
     for axis, (kind, parts) in zip(axes.flat, shown.items()):
         image = FOLDER / f"{kind}.png"
-        draw(take(kind), image, **dict(parts))
+        draw(take(kind), image, **parts)
         axis.imshow(plt.imread(image))
         axis.set_title(f".{kind}", fontsize=10)
         axis.axis("off")

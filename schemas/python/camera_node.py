@@ -14,7 +14,7 @@ With a detector of your own:
 import argparse
 import time
 
-from bundlemocap import bus
+from bundlemocap import Error, bus
 
 
 def play(session, path, names, stage, seconds):
@@ -56,3 +56,5 @@ if __name__ == "__main__":
         main()
     except KeyboardInterrupt:
         pass
+    except Error as error:
+        raise SystemExit(str(error)) from None

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A camera node with RTMPose: images of a webcam, a stream or a video file in, 2D keypoints on the bus.
 
-    pip install "bundlemocap[bus]" opencv-python rtmlib onnxruntime
+    pip install "../..[bus]" opencv-python rtmlib onnxruntime
     python camera_rtmpose.py --video 0 --camera cam_1                            # a webcam
     python camera_rtmpose.py --video rtsp://10.0.0.7/live --camera cam_2 --delay 120
     START=$(($(date +%s) + 20))                                                  # the same for all files of a take
@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 
-from bundlemocap import bus
+from bundlemocap import Error, bus
 
 # Seconds before a camera that is away is opened again: doubled each time.
 FIRST_WAIT, LONGEST_WAIT = 0.5, 8.0
@@ -237,4 +237,7 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except Error as error:
+        raise SystemExit(str(error)) from None

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A retargeting node: receives skeleton and poses and calls a function for each pose.
 
-    pip install "bundlemocap[bus]"
+    pip install "../..[bus]"
     python retarget_node.py --csv poses.csv
 
 As a program it writes one line per pose: capture time, state, declared latency, the pelvis in the world
@@ -14,7 +14,7 @@ import csv
 import queue
 import sys
 
-from bundlemocap import bus
+from bundlemocap import Error, bus
 
 # Seconds without a message before that is said.
 PATIENCE = 5
@@ -94,3 +94,5 @@ if __name__ == "__main__":
         main()
     except (KeyboardInterrupt, BrokenPipeError):
         pass
+    except Error as error:
+        raise SystemExit(str(error)) from None

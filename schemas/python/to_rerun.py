@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Shows recordings, or a running node, in Rerun: performers, cameras, keypoints, events.
 
-    pip install "bundlemocap[bus]" rerun-sdk
+    pip install "../..[bus]" rerun-sdk
     python to_rerun.py out/poses.mcap take.mcap              # opens the viewer
     python to_rerun.py out/poses.mcap --save take.rrd        # for `rerun take.rrd`
     python to_rerun.py --live
@@ -111,11 +111,7 @@ def show(paths):
     """Shows recordings of one take."""
     scene, count = Scene(), 0
     for path in paths:
-        try:
-            messages = bundlemocap.read_messages(path)
-        except bundlemocap.Error as error:
-            raise SystemExit(str(error)) from None
-        for topic, _, kind, payload in messages:
+        for topic, _, kind, payload in bundlemocap.read_messages(path):
             count += scene.log(topic, bus.decoded(kind, payload))
     return count
 
@@ -160,4 +156,7 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except bundlemocap.Error as error:
+        raise SystemExit(str(error)) from None

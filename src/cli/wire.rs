@@ -145,12 +145,16 @@ fn status(status: &Status) -> String {
             };
         }
         let lost = camera.late + camera.missing;
+        let verdict = match &*camera.verdict {
+            "" => String::new(),
+            words => format!(", {words}"),
+        };
         let corrected = match camera.time_correction_s {
             0.0 => String::new(),
             by => format!(", times corrected by {:+.1} ms", by * 1e3),
         };
         format!(
-            "{name} {rate_hz:.1} Hz, offset {:+.1} ms{corrected}, {residual_px:.1} px, {lost} late or missing",
+            "{name} {rate_hz:.1} Hz, offset {:+.1} ms{corrected}, {residual_px:.1} px, {lost} late or missing{verdict}",
             offset_s * 1e3
         )
     };

@@ -114,6 +114,12 @@ impl Check {
         of_cameras.chain(others)
     }
 
+    /// What is wrong with all cameras or the whole recording, in words; empty: nothing was found.
+    pub fn fault(&self) -> String {
+        let texts = self.findings.iter().map(|Finding { what, fix, .. }| format!("{what}; {fix}"));
+        texts.collect::<Vec<_>>().join("; ")
+    }
+
     /// Whether a fault with this name concerns all cameras or the whole recording.
     pub fn finds(&self, cause: &str) -> bool {
         self.findings.iter().any(|finding| finding.cause == cause)

@@ -13,9 +13,11 @@ const CONFLICTS: u32 = 3;
 const UNUSUAL: f64 = 1.7;
 /// Part of a second's residual in the usual one.
 const SECOND: f64 = 0.05;
-/// A camera is silent after this time without a frame, and after so many periods of its frames.
+/// A camera is silent after this time without a frame, and after so many periods of its frames. Cameras that stop together
+/// are silent together, at a multiple of this time on the node's clock.
 const SILENT: Nanos = Nanos::from_ms(700);
 const SILENT_PERIODS: f64 = 3.0;
+const TOGETHER: Nanos = Nanos::from_ms(50);
 /// A point is near the body within this many times the median distance.
 const NEAR: f64 = 3.0;
 
@@ -47,7 +49,7 @@ pub(crate) struct CameraState {
     /// Frames in the current second, and how many of them had a conflict.
     recent: u64,
     odd: u32,
-    /// Frames a second over the last second, and over the last one in which there were any.
+    /// Frames a second over the last second, and over the last one in which it was not silent.
     rate: f64,
     usual_rate: f64,
     #[cfg(feature = "live")]
@@ -55,9 +57,8 @@ pub(crate) struct CameraState {
     /// Whether its capture times are not in nanoseconds.
     #[cfg(feature = "live")]
     has_other_unit: bool,
-    /// When it fell silent, if that was told.
-    #[cfg(feature = "live")]
-    told_silent: Option<Timestamp>,
+    /// Whether it was silent when a status told of it.
+    was_silent: bool,
     /// Whether its clock has been reported as off.
     #[cfg(feature = "live")]
     pub(crate) is_off: bool,
@@ -106,9 +107,10 @@ impl CameraState {
     }
 
     /// Updates the rate and the usual residual; called once a second.
-    pub(crate) fn second(&mut self, passed: Nanos) {
+    pub(crate) fn second(&mut self, now: Timestamp, passed: Nanos) {
         self.rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
-        if self.rate > 0.0 {
+        self.was_silent = self.is_silent(now);
+        if self.rate > 0.0 && !self.was_silent {
             self.usual_rate = self.rate;
         }
         (self.recent, self.odd) = (0, 0);
@@ -123,7 +125,12 @@ impl CameraState {
     /// From when on it is silent if no frame comes; `None` before its first second.
     pub(crate) fn silent_from(&self) -> Option<Timestamp> {
         let (_, _, arrival) = self.last.filter(|_| self.usual_rate > 0.0)?;
-        Some(arrival + SILENT.max(Nanos::rounded(SILENT_PERIODS * 1e9 / self.usual_rate)))
+        let at = arrival + SILENT.max(Nanos::rounded(SILENT_PERIODS * 1e9 / self.usual_rate));
+        Some(at + Nanos::new((-at.ns()).rem_euclid(TOGETHER.ns())))
+    }
+
+    fn is_silent(&self, now: Timestamp) -> bool {
+        self.silent_from().is_some_and(|at| at <= now)
     }
 
     /// The counters, completed with values from the tracker and the clock.
@@ -142,7 +149,7 @@ impl CameraState {
             offset_s,
             drift_ppm,
             waited_for,
-            silent: self.silent_from().is_some_and(|at| at <= now),
+            silent: self.is_silent(now),
             moved: self.placed.as_ref().map(Placed::to_string).unwrap_or_default(),
             ..self.counters.clone()
         }
@@ -163,15 +170,19 @@ impl CameraState {
         (fault.is_none(), fault.filter(|_| !had_other_unit))
     }
 
-    /// Whether it has fallen silent since the last call.
+    /// Whether it has fallen silent since the last status.
     pub(crate) fn falls_silent(&mut self, now: Timestamp) -> bool {
-        let at = self.silent_from().filter(|at| *at <= now);
-        at.is_some() && std::mem::replace(&mut self.told_silent, at) != at
+        let is_silent = self.is_silent(now);
+        is_silent && !std::mem::replace(&mut self.was_silent, is_silent)
     }
 
     /// Sets what a check finds wrong with it.
     pub(crate) fn set_verdict(&mut self, verdict: &str) {
         verdict.clone_into(&mut self.counters.verdict);
+    }
+
+    pub(crate) fn verdict(&self) -> &str {
+        &self.counters.verdict
     }
 
     /// Counts a frame with a time that cannot be used.
@@ -203,13 +214,40 @@ mod tests {
         let mut camera = CameraState::new("left");
         let mut usual = |px: f64, seconds: usize| {
             camera.counters.residual_px = px;
-            (0..seconds).for_each(|_| camera.second(Nanos::SECOND));
+            (0..seconds).for_each(|_| camera.second(Timestamp::default(), Nanos::SECOND));
             camera.counters.usual_px
         };
         assert_eq!(usual(4.0, 1), 4.0);
         assert!((usual(5.0, 100) - 5.0).abs() < 0.01);
         // A camera that was moved does not become usual.
         assert!((usual(12.0, 1000) - 5.0).abs() < 0.01);
+    }
+
+    /// Whenever in a second it stops, it is silent after about 0.7 s, and stays so.
+    #[test]
+    fn a_camera_that_stops_is_silent_once() {
+        let at = |ms: i64| Timestamp::from_ns(ms * 1_000_000);
+        // Of slow cameras, the last second may have few frames.
+        for (period, limit, more) in [(16, 700, 60), (100, 700, 120), (500, 1500, 1600)] {
+            for last in (3000..4000).step_by(17) {
+                let mut camera = CameraState::new("left");
+                let (mut frames, mut silent) = (0, Vec::new());
+                for now in 0..9000 {
+                    if now % period == 0 && now <= last {
+                        camera.frame(at(now), frames, at(now));
+                        frames += 1;
+                    }
+                    if now % 1000 == 999 {
+                        camera.second(at(now), Nanos::SECOND);
+                    }
+                    silent.extend(camera.is_silent(at(now)).then_some(now));
+                }
+                let first = last / period * period + limit;
+                let (from, count) = (silent[0], silent.len() as i64);
+                assert!((first..=first + more).contains(&from), "{period}, {last}: {from}");
+                assert_eq!(count, 9000 - from, "{period}, {last}");
+            }
+        }
     }
 
     #[test]

@@ -13,8 +13,9 @@ pub(super) struct CameraStates {
     cameras: Vec<CameraState>,
     /// Frames of each that were used.
     used: Vec<u64>,
-    /// What is wrong with each.
+    /// What is wrong with each, and with all.
     verdicts: Vec<String>,
+    verdict: String,
     windows: WindowCounters,
     /// Begin of the current second, capture time.
     since: Option<Timestamp>,
@@ -30,7 +31,8 @@ impl CameraStates {
         let verdict = |camera: &Camera| judged(&camera.name).map(CameraCheck::fault);
         let verdicts =
             rig.cameras.iter().map(|camera| verdict(camera).unwrap_or_default()).collect();
-        Self { cameras, used, verdicts, windows: WindowCounters::default(), since: None }
+        let verdict = check.map(Check::fault).unwrap_or_default();
+        Self { cameras, used, verdicts, verdict, windows: WindowCounters::default(), since: None }
     }
 
     /// Counts a frame. Returns the status of the second before, if it begins another one.
@@ -46,7 +48,7 @@ impl CameraStates {
 
     fn second(&mut self, now: Timestamp, passed: Nanos) -> Status {
         self.since = Some(now);
-        self.cameras.iter_mut().for_each(|camera| camera.second(passed));
+        self.cameras.iter_mut().for_each(|camera| camera.second(now, passed));
         let all = self.cameras.iter().zip(&self.used).zip(&self.verdicts);
         let counters = |((one, used), verdict): ((&CameraState, &u64), &String)| CameraCounters {
             verdict: verdict.clone(),
@@ -56,6 +58,7 @@ impl CameraStates {
             capture_time_ns: now.ns(),
             cameras: all.map(counters).collect(),
             windows: Some(self.windows.clone()),
+            verdict: self.verdict.clone(),
             ..Status::default()
         }
     }

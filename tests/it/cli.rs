@@ -15,7 +15,7 @@ use bundlemocap::io::recording::{Message, Provenance, RawEntry, Reader, TAKE, Wr
 use bundlemocap::io::wire::{self, Topics};
 use bundlemocap::metrics::segment_lengths;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -350,6 +350,39 @@ fn the_performers_height_tells_the_unit_of_a_calibration() {
     let output = place.run(&format!("{IMPORT} --overwrite --unit m"));
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("the calibration is in feet; divide all translations by"), "{said}");
+}
+
+#[test]
+fn the_detections_tell_the_direction_of_the_poses_where_the_cameras_do_not() {
+    let mut rig = ring_rig(4, 4.5, 1.4).unwrap();
+    let first = rig.cameras[0].clone();
+    // In a row, all looking the same way: in both directions of the poses they are.
+    for (index, camera) in rig.cameras.iter_mut().enumerate() {
+        camera.rotation = first.rotation;
+        camera.translation = first.translation + Vector3::x() * (0.6 * index as f64 - 0.9);
+    }
+    let place = Place::new();
+    in_folders(&place, ["cam01", "cam02", "cam03", "cam04"], rig.clone());
+    let up = Up::Z.calibration_from_world();
+    for camera in &mut rig.cameras {
+        // What the file has is the inverse of what it should have.
+        let centre = camera.centre_in_world();
+        camera.rotation = up * camera.rotation.transpose() * up;
+        camera.translation = up * centre;
+    }
+    write_calibration(&place.path("calib.toml"), &rig, Up::Z).unwrap();
+    let calibration = fs::read_to_string(place.path("calib.toml")).unwrap();
+    place.write("calib.toml", calibration.split_once("[metadata]").unwrap().0);
+    let output = place.run(&format!("{IMPORT} --up z --unit m"));
+    let said = String::from_utf8(output.stderr).unwrap();
+    let note = "note: the cameras agree if the poses are world-from-camera (--poses)";
+    assert!(said.contains(note) && !said.contains("warning"), "{said}");
+    place.done("check out.mcap");
+    // What the user says is not changed, but it is said.
+    let given =
+        place.run(&format!("{IMPORT} --overwrite --up z --unit m --poses camera-from-world"));
+    let said = String::from_utf8(given.stderr).unwrap();
+    assert!(!said.contains(note) && said.contains("warning"), "{said}");
 }
 
 #[test]

@@ -178,6 +178,8 @@ fn journal() -> Journal {
         left_out: vec![2],
         labels: vec![label()],
         usual_px: vec![3.5],
+        verdicts: vec!["turned by 3 degrees".into()],
+        verdict: "in millimetres".into(),
         solvers: vec!["solver1".into()],
         offsets_are_known: true,
         solve_ns: 2_000_000,

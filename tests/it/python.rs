@@ -189,6 +189,10 @@ class Camera(http.server.BaseHTTPRequestHandler):
 server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Camera)
 threading.Thread(target=server.serve_forever, daemon=True).start()
 said, seen = [], []
+# cv2 may not read streams.
+limit = threading.Timer(30, lambda: source.stop())
+limit.daemon = True
+limit.start()
 source = Source(f"http://127.0.0.1:{server.server_port}/", open_capture, say=said.append)
 
 def publish(_, capture_ns, number, size):

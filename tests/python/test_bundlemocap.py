@@ -1,4 +1,4 @@
-"""The module of the wheel: `pip install . pytest`, then `pytest tests/python`."""
+"""The module of the wheel: `pip install '.[bus]' pytest`, then `pytest tests/python`."""
 
 import os
 import signal
@@ -275,6 +275,21 @@ def test_the_program_is_there(tmp_path: Path) -> None:
     assert run("--version").stdout == f"bundlemocap {bm.__version__}\n"
     missing = run("info", "nowhere.mcap")
     assert missing.returncode == 3 and "nowhere.mcap" in missing.stderr
+
+
+def test_messages_of_the_bus() -> None:
+    bus = pytest.importorskip("bundlemocap.bus")
+    for kind in bm.schemas():
+        message = getattr(bus, kind.rpartition(".")[2])
+        assert bus.decoded(kind, b"") == message() and isinstance(bus.decoded(kind, b""), message)
+    assert bus.decoded("bundlemocap.v1.Future", b"") is None and bus.decoded("foxglove.Log", b"") is None
+    states = [bus.state_of(bus.Pose(state=number)) for number in range(5)]
+    assert states == ["unknown", "tracking", "coasting", "lost", "unknown"]
+    assert bus.triples([1, 2, 0.5, 3, 4, 1]) == [(1, 2, 0.5), (3, 4, 1)]
+    with pytest.raises(AttributeError, match="no message Future"):
+        bus.Future
+    with pytest.raises(bm.Error, match="is no address"):
+        bus.open_session("nowhere")
 
 
 def test_the_type_hints_are_those_of_the_module() -> None:

@@ -624,7 +624,8 @@ test("Foxglove and Lichtblick get the performers and the cameras of a live stage
     const wanted = {
       "/performers": 20, "/cameras": 3, "/tf": 20, "/tf/cameras": 3, "/events": 1,
       "/camera/cam01/calibration": 1, "/camera/cam04/keypoints": 20,
-      "mocap/stage/actor/actor/pose": 20, "mocap/stage/rig": 3, "the same skeleton again": 1,
+      "mocap/stage/actor/actor/pose": 20, "mocap/stage/actor/actor/pose/provisional": 20, "mocap/stage/actor/actor/keyframe": 5,
+      "mocap/stage/rig": 3, "the same skeleton again": 1,
     };
     const count = (name) => (counts[name] = (counts[name] ?? 0) + 1);
     const isEnough = () => Object.entries(wanted).every(([topic, least]) => counts[topic] >= least);

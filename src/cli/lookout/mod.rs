@@ -99,8 +99,8 @@ pub(super) fn look(
                 std::thread::sleep(ATTENTION);
             }
             let now = corrections(node);
-            if !are_same(&before, &now) {
-                // Motion, or somebody, has corrected the clocks meanwhile.
+            if !are_same(&before, &now) || node.rig().as_ref() != Some(&bytes) {
+                // Motion, or somebody, has corrected the clocks meanwhile; or there is another calibration.
                 continue;
             }
             let (mut orders, mut rest, mut told) = (Vec::new(), SHORT_REST, Vec::new());
@@ -123,7 +123,8 @@ pub(super) fn look(
             // Corrected clocks are judged again at once.
             let is_final = orders.is_empty() && !clocks.are_tried();
             judged = is_final.then(|| (bytes, Instant::now() + rest));
-            orders.iter().chain(&told).for_each(|order| node.order(order));
+            let told = told.iter().filter(|_| is_final);
+            orders.iter().chain(told).for_each(|order| node.order(order));
         }
     }
     Ok(())
@@ -235,22 +236,23 @@ fn causes(check: &Check, unused: &[&str]) -> Vec<String> {
 /// What the node is to tell of its cameras: the verdicts that are not in its status. There are so many at a time, for
 /// the node takes a limited number of orders a second.
 fn verdicts(check: &Check, status: &wire::Status) -> Vec<wire::Take> {
-    let of_all = check.findings.iter().map(|found| format!("{}; {}", found.what, found.fix));
-    let of_all = (String::new(), of_all.collect::<Vec<_>>().join("; "));
-    let of_cameras = check.cameras.iter().map(|camera| (camera.camera.clone(), camera.fault()));
-    let is_new = |(name, words): &(String, String)| {
-        let mut cameras = status.cameras.iter();
-        let camera = cameras.find(|camera| camera.camera == *name);
-        *words != *camera.map_or(&status.verdict, |camera| &camera.verdict)
+    let order = |name: &str, before: &str, note: String| {
+        let (action, name) = ("verdict".to_owned(), name.to_owned());
+        (note != before).then(|| wire::Take { action, name, note, ..wire::Take::default() })
     };
-    let order = |(name, note)| wire::Take {
-        action: "verdict".to_owned(),
-        name,
-        note,
-        ..wire::Take::default()
+    let of_camera = |counters: &wire::CameraCounters| {
+        let mut cameras = check.cameras.iter();
+        let camera = cameras.find(|camera| camera.camera == counters.camera)?;
+        // Who saw nobody this time is not judged anew.
+        let is_judged = camera.agreeing_percent.is_some() || !camera.findings.is_empty();
+        order(&counters.camera, &counters.verdict, camera.fault()).filter(|_| is_judged)
     };
-    let all = std::iter::once(of_all).chain(of_cameras);
-    all.filter(is_new).take(MOST_VERDICTS).map(order).collect()
+    let of_all = order("", &status.verdict, check.fault());
+    of_all
+        .into_iter()
+        .chain(status.cameras.iter().filter_map(of_camera))
+        .take(MOST_VERDICTS)
+        .collect()
 }
 
 fn say(check: &Check, unused: &[&str]) {
@@ -314,6 +316,11 @@ mod tests {
             matches!(&told[..], [all] if all.name.is_empty() && all.note.is_empty()),
             "{told:?}"
         );
+        // Who saw nobody this time keeps the verdict.
+        let mut check = check;
+        (check.cameras[1].agreeing_percent, check.cameras[1].findings) = (None, Vec::new());
+        status.verdict.clear();
+        assert_eq!(verdicts(&check, &status), Vec::new());
     }
 
     #[test]

@@ -147,6 +147,8 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         left_out: settings.carried.left_out.iter().map(|camera| *camera as u32).collect(),
         labels: settings.carried.labels.clone(),
         usual_px: settings.carried.usual_px.clone(),
+        verdicts: settings.carried.verdicts.clone(),
+        verdict: settings.carried.verdict.clone(),
         solvers: settings.carried.solvers.clone(),
         offsets_are_known: settings.carried.offsets_are_known,
     }

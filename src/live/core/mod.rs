@@ -265,9 +265,14 @@ impl Core {
         };
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.performers.clear();
-        for (camera, usual) in self.cameras.iter_mut().zip(&self.settings.carried.usual_px) {
+        let carried = &self.settings.carried;
+        for (camera, usual) in self.cameras.iter_mut().zip(&carried.usual_px) {
             camera.set_usual_px(*usual);
         }
+        for (camera, verdict) in self.cameras.iter_mut().zip(&carried.verdicts) {
+            camera.set_verdict(verdict);
+        }
+        self.verdict.clone_from(&carried.verdict);
         let Settings { tracker: config, stage: of_stage, carried, .. } = &self.settings;
         let tracker = Tracker::new(*config, rig).live(live);
         let tracker = tracker.with_time_corrections(&carried.time_offsets);
@@ -403,7 +408,7 @@ impl Core {
         self.publish_counts();
         self.review_peers();
         for camera in &mut self.cameras {
-            camera.second(passed);
+            camera.second(self.now, passed);
         }
         self.watch_crowd();
         self.watch_clocks();
@@ -414,6 +419,10 @@ impl Core {
 
     /// Publishes the status when a camera falls silent, not only at the next second.
     fn tell_silence(&mut self) {
+        // A solver gets frames from the front, and only while it solves somebody.
+        if self.is_solver() {
+            return;
+        }
         let mut is_new = false;
         for camera in &mut self.cameras {
             is_new |= camera.falls_silent(self.now);

@@ -145,6 +145,10 @@ pub struct Carried {
     pub labels: Vec<PerformerLabel>,
     /// The usual residual of each camera, pixels, in the order of the rig; 0: not known.
     pub usual_px: Vec<f64>,
+    /// What a check found wrong with each camera, in the order of the rig; empty: nothing.
+    pub verdicts: Vec<String>,
+    /// The same of all cameras together.
+    pub verdict: String,
     /// The solvers that share the performers of the stage, in the order of their names.
     pub solvers: Vec<String>,
     /// Whether the keypoint offsets of [`Settings::body`] are those of this detector. If not, only its bones are
@@ -156,6 +160,8 @@ impl Carried {
     /// Takes another calibration: no camera is left out. If the time offsets differ, none is corrected.
     pub(super) fn recalibrate(&mut self, before: &[u8], now: &[u8]) {
         self.left_out.clear();
+        self.verdicts.clear();
+        self.verdict.clear();
         let [before, now] = [before, now].map(|rig| {
             let cameras = wire::decode::<wire::Rig>(rig).unwrap_or_default().cameras.into_iter();
             cameras.map(|camera| (camera.name, camera.time_offset_ns)).collect::<Vec<_>>()
@@ -177,6 +183,8 @@ impl Carried {
             left_out: start.left_out.iter().map(|camera| *camera as usize).collect(),
             labels: start.labels.clone(),
             usual_px: start.usual_px.clone(),
+            verdicts: start.verdicts.clone(),
+            verdict: start.verdict.clone(),
             solvers: start.solvers.clone(),
             offsets_are_known: start.offsets_are_known,
         }

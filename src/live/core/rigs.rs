@@ -133,12 +133,12 @@ impl Core {
             self.sharing.forget_frames();
         }
         for (camera, new) in self.cameras.iter_mut().zip(&rig.cameras) {
+            camera.set_verdict("");
             let before = self.calibration.as_ref().map(|before| &before.rig);
             let before = before.and_then(|rig| rig.cameras.get(rig.index_of(&new.name)?));
             if !before.is_some_and(|before| before.has_pose_of(new)) {
                 camera.placed = None;
                 camera.set_usual_px(0.0);
-                camera.set_verdict("");
             }
         }
         self.verdict.clear();

@@ -330,6 +330,8 @@ impl Core {
                 left_out: stage.map_or_else(Vec::new, Stage::left_out),
                 labels: self.labels_of_known(),
                 usual_px: self.cameras.iter().map(CameraState::usual_px).collect(),
+                verdicts: self.cameras.iter().map(|camera| camera.verdict().to_owned()).collect(),
+                verdict: self.verdict.clone(),
                 solvers: self.settings.carried.solvers.clone(),
                 offsets_are_known: match stage {
                     Some(stage) => stage.lead().body_estimate().knows_offsets(),

@@ -1,5 +1,4 @@
-"""The bus of a running node: sessions, publishers, subscribers and messages. `pip install "bundlemocap[bus]"` brings what
-it needs.
+"""The bus of a running node: sessions, publishers, subscribers and messages. `pip install ".[bus]"` brings what it needs.
 
 The messages of `schemas/*.proto` are classes here, such as `bus.Pose`. The payload of a zenoh sample is such a message, its
 encoding names the message, its attachment is the capture time in nanoseconds: 8 bytes, little endian.
@@ -24,8 +23,9 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # 
 from . import Error, read_messages, schemas
 
 _PACKAGE = "bundlemocap.v1"
+_SCHEMAS = schemas()
 _pool = descriptor_pool.DescriptorPool()
-for _files in schemas().values():
+for _files in _SCHEMAS.values():
     for _file in descriptor_pb2.FileDescriptorSet.FromString(_files).file:
         _pool.AddSerializedFile(_file.SerializeToString())
 
@@ -39,20 +39,20 @@ def __getattr__(name: str) -> Any:
 
 def message_of(sample: zenoh.Sample) -> Any:
     """The message in a sample, or None if it is not one of ours."""
-    kind = str(sample.encoding).partition(";")[2]
-    return decoded(kind, sample.payload.to_bytes())
+    return decoded(str(sample.encoding).partition(";")[2], sample.payload.to_bytes())
 
 
 def decoded(kind: str, payload: bytes) -> Any:
     """A message from its full name, such as bundlemocap.v1.Pose, and its bytes; None if it is not one of ours."""
-    package, _, name = kind.rpartition(".")
-    return __getattr__(name).FromString(payload) if package == _PACKAGE else None
+    if kind not in _SCHEMAS:
+        return None
+    return __getattr__(kind.rpartition(".")[2]).FromString(payload)
 
 
 def state_of(pose: Any) -> str:
-    """The state of a pose in words: tracking, coasting or lost."""
-    states = pose.DESCRIPTOR.file.enum_types_by_name["TrackingState"].values_by_number
-    return states[pose.state].name.removeprefix("TRACKING_STATE_").lower()
+    """The state of a pose in words: tracking, coasting or lost; else unknown."""
+    words = {1: "tracking", 2: "coasting", 3: "lost"}
+    return words.get(pose.state, "unknown")
 
 
 def open_session(connect: str = "tcp/127.0.0.1:7447") -> zenoh.Session:
@@ -62,7 +62,7 @@ def open_session(connect: str = "tcp/127.0.0.1:7447") -> zenoh.Session:
     try:
         config.insert_json5("connect/endpoints", json.dumps([connect]))
     except zenoh.ZError as error:
-        raise SystemExit(f"{connect!r} is no address, such as tcp/127.0.0.1:7447 ({error})") from None
+        raise Error(f"{connect!r} is no address, such as tcp/127.0.0.1:7447 ({error})") from None
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("timestamping/enabled", "false")
     # Wait up to 20 ms for a full queue before a message is dropped.
@@ -71,7 +71,7 @@ def open_session(connect: str = "tcp/127.0.0.1:7447") -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise SystemExit(f"no node is at {connect}: start one with `bundlemocap run`, or give its address ({error})") from None
+        raise Error(f"no node is at {connect}: start one with `bundlemocap run`, or give its address ({error})") from None
 
 
 class Stream:
@@ -207,11 +207,7 @@ class CameraNode:
 def recorded(path: str | os.PathLike[str]) -> tuple[Any, list[Any]]:
     """The calibration of a recording, or None, and its keypoint frames in order of capture time."""
     rig, frames = None, []
-    try:
-        messages = read_messages(path)
-    except Error as error:
-        raise SystemExit(str(error)) from None
-    for topic, _, kind, payload in messages:
+    for topic, _, kind, payload in read_messages(path):
         if "truth" in topic:
             continue
         if kind == f"{_PACKAGE}.Rig":

@@ -201,9 +201,10 @@ function showNode(people) {
 }
 
 function recordingLight() {
-  const damage = source.overview.damage;
-  const words = source.error ? [source.error] : damage;
-  return { level: source.error ? "bad" : damage.length > 0 ? "warn" : "ok", words };
+  const { damage } = source.overview;
+  const { verdict } = store.historyAt(chosen.time).at(-1)?.status ?? {};
+  const wrong = source.error || verdict;
+  return { level: wrong ? "bad" : damage.length > 0 ? "warn" : "ok", words: wrong ? [wrong] : damage };
 }
 
 function showCameras() {
