@@ -12,6 +12,7 @@ settings. `--stored take.mcap` publishes the keypoints of a recording instead of
 """
 
 import argparse
+import collections
 import os
 import signal
 import sys
@@ -24,6 +25,30 @@ from bundlemocap import Error, bus
 FIRST_WAIT, LONGEST_WAIT = 0.5, 8.0
 # Seconds that the end waits for a camera that gives no image.
 LONGEST_READ = 5.0
+
+
+class StreamClock:
+    """Capture times from a camera's own times, which do not jitter as arrivals do. The least delay of the last seconds tells
+    how far its clock is from that of this computer. Cameras without times, and times that only count images at a nominal
+    rate, do not keep pace with the arrivals: then it is the arrival."""
+
+    SPAN_NS, DRIFT_NS = 10_000_000_000, 5_000_000
+
+    def __init__(self):
+        self._own_ns, self._delays = 0, collections.deque()
+
+    def __call__(self, own_ns, arrival_ns):
+        if own_ns <= self._own_ns:
+            self._delays.clear()
+        self._own_ns = own_ns
+        self._delays.append((arrival_ns, arrival_ns - own_ns))
+        while len(self._delays) > 1 and arrival_ns - self._delays[1][0] >= self.SPAN_NS:
+            self._delays.popleft()
+        if arrival_ns - self._delays[0][0] < self.SPAN_NS:
+            return arrival_ns
+        middle = arrival_ns - self.SPAN_NS // 2
+        early, late = (min(delay for at, delay in self._delays if (at < middle) == is_early) for is_early in (True, False))
+        return arrival_ns if abs(late - early) > self.DRIFT_NS else own_ns + min(early, late)
 
 
 class Source:
@@ -85,7 +110,7 @@ class Source:
     def _read_from(self, capture):
         import cv2
 
-        rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
+        rate, clock = capture.get(cv2.CAP_PROP_FPS) or 30.0, StreamClock()
         while not self._ended.is_set() and capture.grab():
             arrival_ns = time.time_ns()
             if self.is_file:
@@ -97,7 +122,8 @@ class Source:
                 if self._ended.wait(max(0, capture_ns - time.time_ns()) * 1e-9):
                     return
             else:
-                capture_ns = arrival_ns - self._delay_ns
+                own_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+                capture_ns = clock(own_ns, arrival_ns) - self._delay_ns
             is_whole, image = capture.retrieve()
             number, self.images = self.images, self.images + 1
             if not is_whole:

@@ -206,6 +206,25 @@ assert seen == sorted(seen) and len(seen) + source.dropped >= 25, (seen, source.
 assert [line.split(": ")[1].split(" ")[0] for line in said[:3]] == ["gives", "back", "gives"], said
 "#;
 
+/// Images of a camera arrive 50 to 70 ms after their capture: with its own times, with those of another rate, and without.
+const CLOCK: &str = r#"
+import random
+from camera_rtmpose import StreamClock
+
+def late(own):
+    random.seed(3)
+    clock, began, late = StreamClock(), 7_000_000_000_000, []
+    for number in range(900):
+        ns = round(number * 1e9 / 30)
+        arrival = began + ns + round(1e6 * random.uniform(50, 70))
+        late.append((clock(own(ns), arrival) - began - ns) / 1e6)
+    return late[450:]
+
+good, nominal, none = late(lambda ns: 5 + ns), late(lambda ns: ns * 25 // 30), late(lambda _: 0)
+assert 50 <= min(good) and max(good) < 51, (min(good), max(good))
+assert nominal == none and min(none) < 51 and max(none) > 69, (min(none), max(none))
+"#;
+
 /// Writes a video of 60000/1001 frames a second, and one of 25.
 const VIDEOS: &str = r#"
 import cv2, sys, numpy as np
@@ -283,7 +302,7 @@ fn a_video_is_published_as_a_camera_and_a_camera_that_goes_away_is_opened_again(
         let since = frame.capture_time_ns - first - (frame.frame as i64 * 100_000_000) / 3;
         assert!(since.abs() < 1_000_000, "image {} is off by {since} ns", frame.frame);
     }
-    for script in [AWAY, STREAM] {
+    for script in [AWAY, STREAM, CLOCK] {
         let away = Command::new("python3")
             .args(["-c", script])
             .env("PYTHONPATH", scripts())
